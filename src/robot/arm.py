@@ -1,0 +1,190 @@
+"""A UR5 that follows Cartesian straight lines above the bin."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from ur_analytic_ik import ur5
+
+from see2act.robot import urdf
+from see2act.robot.simulation import TIMESTEP, Simulation
+
+JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+EFFORT = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
+"""N m, from the UR5's URDF."""
+GAIN = 0.6
+"""Share of the joint error that a motor corrects in one step; tracks within 0.5 mm without ringing."""
+HOME_ANGLE = np.pi / 2
+"""Middle of the pick angles [0, pi), so that the last joint never turns by more than a quarter."""
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """Where the arm stands and how fast it goes.
+
+    Args:
+        base: World position of the base, metres. Its x axis points at the bin.
+        home: World position of ``tool0`` before and after each attempt, metres, out of the camera's sight.
+        joint_speed: Fastest joint in free motion, rad/s (UR5: 3.14 at most).
+        tool_speed: Tool on straight lines, m/s.
+    """
+
+    base: tuple[float, float, float]
+    home: tuple[float, float, float]
+    joint_speed: float
+    tool_speed: float
+
+
+class Arm:
+    """The arm with an end effector, in a simulation. Positions are those of ``tool0``, which points down."""
+
+    def __init__(self, simulation: Simulation, config: ArmConfig, tool_urdf: str):
+        self._simulation = simulation
+        self._config = config
+        self._urdf = tool_urdf
+        self.seconds = 0.0
+        """Time that all motion so far would take on a real arm at the configured speeds."""
+        home = self.solve(np.array(config.home), HOME_ANGLE)
+        if home is None:
+            raise ValueError(f"robot.arm.home={config.home} is out of the arm's reach: move it nearer to the base")
+        self._home = home
+
+    def load(self) -> None:
+        """Put the arm, at home, into an empty simulation."""
+        client = self._simulation.client
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "robot.urdf"
+            path.write_text(self._urdf)
+            self.body = client.loadURDF(str(path), basePosition=self._config.base, useFixedBase=True)
+        infos = [client.getJointInfo(self.body, i) for i in range(client.getNumJoints(self.body))]
+        self.joint_index = {info[1].decode(): i for i, info in enumerate(infos)}
+        self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}
+        self._joints = [self.joint_index[name] for name in JOINTS]
+        self.seconds = 0.0
+        self.teleport(self._home)
+
+    def teleport(self, joints: Float[np.ndarray, "6"]) -> None:
+        """Put the joints somewhere at once."""
+        for index, value in zip(self._joints, joints, strict=True):
+            self._simulation.client.resetJointState(self.body, index, value)
+        self._joint_targets = np.asarray(joints, float)
+        self._command(self._joint_targets, np.zeros(6))
+
+    def solve(self, position: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "6"] | None:
+        """Joint angles that put ``tool0`` at a world position, pointing down, turned by ``angle``.
+
+        The tool's x axis lies on the line at ``angle``, pointing backwards along it: all tools here are
+        the same after half a turn, and this half keeps the last joint away from its limits.
+        Of the closed-form solutions the one with elbow up, wrist inward and the base facing the bin is
+        taken, so that paths through neighbouring poses never jump. None where there is no such solution.
+        """
+        pose = np.eye(4)
+        pose[:3, :3] = pointing_down(angle + np.pi)
+        pose[:3, 3] = np.asarray(position) - self._config.base
+        # The kinematics' base frame is the URDF's turned by half a turn about z.
+        pose[:2] *= -1
+        for solution in ur5.inverse_kinematics(pose):
+            q = _wrap(solution)
+            if abs(q[0]) < np.pi / 2 and q[2] > 0 and q[4] < 0:
+                return q
+        return None
+
+    def line(self, start: np.ndarray, end: np.ndarray, angle: float, speed: float) -> Float[np.ndarray, "n 6"] | None:
+        """Joint targets, one per timestep, along a straight line; None where a point is out of reach."""
+        length = float(np.linalg.norm(end - start))
+        waypoints = [self.solve(start + s * (end - start), angle) for s in _ease(length / speed)]
+        if any(joints is None for joints in waypoints):
+            return None
+        return np.array(waypoints)
+
+    def move(self, joints: Float[np.ndarray, "6"]) -> None:
+        """Free motion in joint space."""
+        start = self._joint_targets
+        travel = float(np.abs(joints - start).max())
+        steps = _ease(travel / self._config.joint_speed)[:, None]
+        self.follow(start + steps * (joints - start))
+
+    def home(self) -> None:
+        """Free motion to the fixed initial position."""
+        self.move(self._home)
+
+    def follow(self, waypoints: Float[np.ndarray, "n 6"], until: Callable[[], bool] | None = None) -> bool:
+        """Drive through joint targets, one a step; stop early and hold where ``until`` says so.
+
+        Returns:
+            Whether it was stopped.
+        """
+        for target in waypoints:
+            velocity = (target - self._joint_targets) / TIMESTEP
+            self._command(target, velocity)
+            self._simulation.step()
+            self.seconds += TIMESTEP
+            if until is not None and until():
+                self._command(target, np.zeros(6))
+                return True
+        if len(waypoints):
+            self._command(waypoints[-1], np.zeros(6))
+        return False
+
+    def wait(self, steps: int, until: Callable[[], bool] | None = None) -> None:
+        """Hold still for at most ``steps`` timesteps."""
+        for _ in range(steps):
+            self._simulation.step()
+            self.seconds += TIMESTEP
+            if until is not None and until():
+                return
+
+    def tool_position(self) -> Float[np.ndarray, "3"]:
+        """Where ``tool0`` really is, world metres."""
+        state = self._simulation.client.getLinkState(self.body, self.link_index["tool0"], computeForwardKinematics=1)
+        return np.array(state[4])
+
+    def tool_rotation(self) -> Float[np.ndarray, "3 3"]:
+        """How ``tool0`` is really turned."""
+        state = self._simulation.client.getLinkState(self.body, self.link_index["tool0"], computeForwardKinematics=1)
+        return np.array(self._simulation.client.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+
+    @property
+    def commanded_position(self) -> Float[np.ndarray, "3"]:
+        """Where ``tool0`` was last told to be, world metres."""
+        pose = np.array(ur5.forward_kinematics(*self._joint_targets))
+        return np.array([-pose[0, 3], -pose[1, 3], pose[2, 3]]) + self._config.base
+
+    def _command(self, target: np.ndarray, velocity: np.ndarray) -> None:
+        self._joint_targets = np.asarray(target, float)
+        client = self._simulation.client
+        client.setJointMotorControlArray(
+            self.body,
+            self._joints,
+            client.POSITION_CONTROL,
+            targetPositions=target,
+            targetVelocities=velocity,
+            forces=EFFORT,
+            positionGains=[GAIN] * 6,
+        )
+
+
+def tool_on_arm(tool: object) -> str:
+    """URDF text of the UR5 carrying an end effector."""
+    return urdf.mount(urdf.ur5(), tool)  # type: ignore[arg-type]
+
+
+def pointing_down(angle: float) -> Float[np.ndarray, "3 3"]:
+    """Rotation of a tool whose z axis points down and whose x axis is turned by ``angle`` from the world's."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+
+
+def _ease(seconds: float) -> Float[np.ndarray, "n"]:
+    """Progress from 0 to 1, one value a timestep, smooth at both ends, peaking at 1 / ``seconds``."""
+    n = max(1, int(np.ceil(seconds * np.pi / 2 / TIMESTEP)))
+    return (1 - np.cos(np.pi * np.arange(1, n + 1) / n)) / 2
+
+
+def _wrap(joints: np.ndarray) -> np.ndarray:
+    return (np.asarray(joints) + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,118 @@
+"""A perspective RGB-D camera with the noise of a stereo sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from see2act.robot.simulation import Simulation
+
+NEAR, FAR = 0.1, 3.0
+
+
+@dataclass(frozen=True)
+class DepthNoise:
+    """Errors of a stereo depth sensor (Intel RealSense D415).
+
+    Depth comes from disparity d = f b / z, so an error in d grows with z squared.
+
+    Args:
+        baseline: Metres between the two imagers (D415: 0.055).
+        focal: Pixels, at the sensor's own resolution (D415 at 1280 x 720: about 930).
+        sigma: Standard deviation of the disparity, pixels (Intel's tuning guide: 0.08 with texture).
+        step: Quantisation of the disparity, pixels (D4 chips: 1/32).
+        blur: Pixels over which the error is correlated, as block matching makes it.
+        edge_loss: Depth jump in metres to a neighbour beyond which a pixel may lose its reading.
+        edge_rate: Probability that it does.
+    """
+
+    baseline: float = 0.055
+    focal: float = 930.0
+    sigma: float = 0.08
+    step: float = 1 / 32
+    blur: float = 1.0
+    edge_loss: float = 0.02
+    edge_rate: float = 0.5
+
+    def __call__(self, depth: Float[np.ndarray, "h w"], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
+        """Sensed depth in metres, 0 where there is no reading."""
+        noise = rng.normal(size=depth.shape).astype(np.float32)
+        if self.blur > 0:
+            noise = cv2.GaussianBlur(noise, (0, 0), self.blur)
+            noise /= noise.std()
+        disparity = self.focal * self.baseline / depth + self.sigma * noise
+        disparity = np.round(disparity / self.step) * self.step
+        sensed = (self.focal * self.baseline / disparity).astype(np.float32)
+        kernel = np.ones((3, 3), np.uint8)
+        jump = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
+        sensed[(jump > self.edge_loss) & (rng.random(depth.shape) < self.edge_rate)] = 0
+        return sensed
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where the camera stands and what it measures.
+
+    Args:
+        name: The word people type.
+        position: World metres.
+        target: World point in the image's centre.
+        up: World direction that points up in the image.
+        width, height: Pixels.
+        focal: Pixels.
+        noise: Errors of the depth.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float]
+    width: int
+    height: int
+    focal: float
+    noise: DepthNoise
+
+    @property
+    def intrinsics(self) -> Float[np.ndarray, "3 3"]:
+        """Pinhole matrix, pixels."""
+        return np.array([[self.focal, 0, self.width / 2], [0, self.focal, self.height / 2], [0, 0, 1]])
+
+    @property
+    def pose(self) -> Float[np.ndarray, "4 4"]:
+        """Camera to world: x right, y down, z forward."""
+        forward = _unit(np.subtract(self.target, self.position))
+        right = _unit(np.cross(forward, self.up))
+        pose = np.eye(4)
+        pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+        pose[:3, 3] = self.position
+        return pose
+
+    def render(
+        self, simulation: Simulation
+    ) -> tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
+        """Colour, exact depth in metres, and the body id seen in each pixel (-1: none)."""
+        client = simulation.client
+        view = client.computeViewMatrix(self.position, self.target, self.up)
+        _, _, color, z, body = client.getCameraImage(
+            self.width, self.height, view, self._projection(), shadow=0, renderer=client.ER_TINY_RENDERER
+        )
+        z = np.asarray(z, np.float64).reshape(self.height, self.width)
+        depth = (FAR * NEAR / (FAR - (FAR - NEAR) * z)).astype(np.float32)
+        color = np.asarray(color, np.uint8).reshape(self.height, self.width, 4)[..., :3]
+        return color, depth, np.asarray(body).reshape(self.height, self.width)
+
+    def _projection(self) -> list[float]:
+        """OpenGL projection of the pinhole, column-major."""
+        return [
+            *(2 * self.focal / self.width, 0, 0, 0),
+            *(0, 2 * self.focal / self.height, 0, 0),
+            *(0, 0, -(FAR + NEAR) / (FAR - NEAR), -1),
+            *(0, 0, -2 * FAR * NEAR / (FAR - NEAR), 0),
+        ]
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

@@ -1,0 +1,130 @@
+"""The Robotiq 2F-85: a parallel gripper with a mimic linkage."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from see2act.robot import urdf
+from see2act.robot.arm import Arm
+from see2act.robot.end_effector import EndEffector
+from see2act.robot.simulation import Simulation
+from see2act.robot.types import Pick
+
+DRIVER = "gripper_finger_joint"
+FOLLOWERS = {
+    "gripper_left_inner_knuckle_joint": 1.0,
+    "gripper_right_outer_knuckle_joint": 1.0,
+    "gripper_right_inner_knuckle_joint": 1.0,
+    "gripper_left_inner_finger_joint": -1.0,
+    "gripper_right_inner_finger_joint": -1.0,
+}
+"""Multipliers of the URDF's <mimic> elements, which PyBullet ignores."""
+PADS = ("gripper_left_inner_finger_pad", "gripper_right_inner_finger_pad")
+CRANK = 0.0572
+"""Metres from knuckle to fingertip joint: the radius of the pads' arc (URDF)."""
+CRANK_OPEN = 0.715
+"""Radians between the crank and the vertical when open (URDF)."""
+PAD_AT_KNUCKLE = 0.005
+"""Half the opening at which the crank is vertical, metres."""
+PAD_HALF_HEIGHT = 0.01875
+PAD_CENTRE = 0.130
+"""Metres from ``tool0`` to the middle between the open pads (measured on the loaded model)."""
+FLOOR_GAP = 0.002
+"""Metres that stay between the closing pads and the floor."""
+
+
+def opening(angle: float) -> float:
+    """Metres between the pads at a driver joint angle in radians."""
+    return float(2 * (PAD_AT_KNUCKLE + CRANK * np.sin(CRANK_OPEN - angle)))
+
+
+class Gripper(EndEffector):
+    """Closes on what lies between its pads; success is a finger opening that stayed above a threshold.
+
+    Args:
+        depth: Metres below the surface that the middle of the pads goes.
+        torque: N m at the driver joint; 2 N m is some 20 N at the pads.
+        speed: rad/s of the driver joint.
+        close_steps: Timesteps allowed for closing.
+        threshold: Metres of opening above which something is held.
+        friction: Coulomb coefficient of the rubber pads.
+        contact_limit: Newtons on the gripper at which a descent stops.
+    """
+
+    primitive = "grasp"
+
+    def __init__(
+        self, depth: float, torque: float, speed: float, close_steps: int, threshold: float, friction: float, contact_limit: float
+    ):
+        self._depth = depth
+        self._torque = torque
+        self._speed = speed
+        self._close_steps = close_steps
+        self._threshold = threshold
+        self._friction = friction
+        self.contact_limit = contact_limit
+
+    def urdf(self) -> ET.Element:
+        return urdf.robotiq()
+
+    def bind(self, simulation: Simulation, arm: Arm) -> None:
+        self._simulation, self._arm = simulation, arm
+        client = simulation.client
+        self._driver = arm.joint_index[DRIVER]
+        for name, multiplier in FOLLOWERS.items():
+            follower = arm.joint_index[name]
+            client.setJointMotorControl2(arm.body, follower, client.VELOCITY_CONTROL, force=0)
+            gear = client.createConstraint(
+                arm.body, self._driver, arm.body, follower, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
+            )
+            client.changeConstraint(gear, gearRatio=-multiplier, maxForce=100, erp=1)
+        for name in PADS:
+            client.changeDynamics(arm.body, arm.link_index[name], lateralFriction=self._friction, spinningFriction=0.005)
+        self._drive(0.0)
+
+    def length(self) -> float:
+        return PAD_CENTRE
+
+    def depth_at(self, pick: Pick) -> float:
+        # Closing pads swing along an arc and reach lower than the open ones.
+        swing = CRANK * (1 - np.cos(CRANK_OPEN))
+        return max(pick.z - self._depth, PAD_HALF_HEIGHT + swing + FLOOR_GAP)
+
+    def prepare(self) -> None:
+        self._drive(0.0)
+
+    def engage(self) -> None:
+        self._drive(0.8)
+        still = 0
+
+        def stalled() -> bool:
+            nonlocal still
+            moving = abs(self._simulation.client.getJointState(self._arm.body, self._driver)[1]) > 0.02
+            still = 0 if moving else still + 1
+            return still >= 12
+
+        self._arm.wait(self._close_steps, stalled)
+
+    def engaged(self) -> bool:
+        return opening(self._angle()) > self._threshold
+
+    def lost_hold(self) -> bool:
+        return False
+
+    def sense(self) -> tuple[float, bool]:
+        gap = opening(self._angle())
+        return gap, gap > self._threshold
+
+    def release(self) -> None:
+        self._drive(0.0)
+
+    def _angle(self) -> float:
+        return float(self._simulation.client.getJointState(self._arm.body, self._driver)[0])
+
+    def _drive(self, target: float) -> None:
+        client = self._simulation.client
+        client.setJointMotorControl2(
+            self._arm.body, self._driver, client.POSITION_CONTROL, target, force=self._torque, maxVelocity=self._speed
+        )

@@ -1,0 +1,87 @@
+"""From a depth image to an orthographic heightmap (paper, section III-A)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from see2act.robot.types import Heightmap, RobotError
+from see2act.robot.workspace import Workspace
+
+CRACK = 2.0
+"""Holes within this many pixels of a reading are cracks between samples and take the nearest value."""
+
+
+def point_cloud(
+    depth: Float[np.ndarray, "h w"], intrinsics: Float[np.ndarray, "3 3"], pose: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "h w 3"]:
+    """World points in metres of every image pixel.
+
+    Args:
+        depth: Metres along the optical axis.
+        intrinsics: Pinhole matrix, pixels.
+        pose: Camera to world; x right, y down, z forward in the image.
+    """
+    h, w = depth.shape
+    u, v = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
+    x = (u - intrinsics[0, 2]) / intrinsics[0, 0] * depth
+    y = (v - intrinsics[1, 2]) / intrinsics[1, 1] * depth
+    points = np.stack([x, y, depth], axis=-1)
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def highest(
+    points: Float[np.ndarray, "h w 3"], seen: np.ndarray, workspace: Workspace
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each cell that holds a point, the image index of its highest one.
+
+    Returns:
+        rows, cols and flat image indices, each of length n (cells with a point).
+    """
+    flat = points.reshape(-1, 3)
+    rows, cols = workspace.to_pixel(flat[:, 0], flat[:, 1])
+    height, width = workspace.shape
+    inside = seen.ravel() & (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+    index = np.flatnonzero(inside)
+    order = index[np.argsort(flat[index, 2], kind="stable")]
+    cell = rows[order] * width + cols[order]
+    winner = np.full(height * width, -1)
+    winner[cell] = order  # the last write wins, and the highest point comes last
+    cells = np.flatnonzero(winner >= 0)
+    return cells // width, cells % width, winner[cells]
+
+
+def project(color: np.ndarray, depth: np.ndarray, points: np.ndarray, workspace: Workspace) -> Heightmap:
+    """The heightmap of one RGB-D image.
+
+    Cells without a reading are filled: cracks with the nearest reading, larger holes (space hidden from
+    the camera) as dark floor; ``valid`` is False in both.
+
+    Raises:
+        RobotError: The depth holds NaN, or nothing of the workspace is in view.
+    """
+    if not np.isfinite(depth).all():
+        raise RobotError(f"the depth image holds {np.count_nonzero(~np.isfinite(depth))} values that are not finite")
+    rows, cols, index = highest(points, depth > 0, workspace)
+    if not len(index):
+        raise RobotError("no point of the depth image lies in the workspace: check the camera's pose and depth unit")
+    shape = workspace.shape
+    valid = np.zeros(shape, bool)
+    height = np.zeros(shape, np.float32)
+    colors = np.zeros((*shape, 3), np.uint8)
+    valid[rows, cols] = True
+    height[rows, cols] = points.reshape(-1, 3)[index, 2]
+    colors[rows, cols] = color.reshape(-1, 3)[index]
+    source, known = fill(valid)
+    return Heightmap(colors[source] * known[..., None], height[source] * known, valid)
+
+
+def fill(valid: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Where each cell takes its value from.
+
+    Returns:
+        The row and column of the nearest valid cell, and whether that is near enough to trust (a crack).
+    """
+    distance, (rows, cols) = ndimage.distance_transform_edt(~valid, return_indices=True)
+    return (rows, cols), distance <= CRACK

@@ -1,0 +1,246 @@
+"""The robot's interface, and the UR5 in simulation that implements it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from see2act.robot import heightmap as hm
+from see2act.robot import urdf
+from see2act.robot.arm import Arm, ArmConfig
+from see2act.robot.camera import Camera
+from see2act.robot.end_effector import EndEffector
+from see2act.robot.objects import ObjectSet
+from see2act.robot.scene import BinConfig, Scene
+from see2act.robot.simulation import Simulation
+from see2act.robot.types import Cause, Heightmap, Observation, Outcome, Pick, Split, Truth
+from see2act.robot.workspace import Workspace
+from see2act.seeding import generator
+
+LIFT = 0.10
+"""Metres (paper, section III-C)."""
+HELD = 0.05
+"""Metres that an object must have risen to count as truly held: half the lift."""
+HOLD_STEPS = 40
+"""Timesteps that a hold must last after the lift before it is read."""
+REBUILDS = 20
+
+
+class Robot(ABC):
+    """What learning needs of a robot: a class for another robot implements these five."""
+
+    workspace: Workspace
+
+    @abstractmethod
+    def reset(self, scene_seed: int, split: Split) -> None:
+        """Fill the bin anew; the scene and its sensor noise follow from ``scene_seed`` alone."""
+
+    @abstractmethod
+    def observe(self) -> Observation:
+        """Look at the bin with the arm at home."""
+
+    @abstractmethod
+    def execute(self, pick: Pick) -> Outcome:
+        """Run the motion primitive open loop, take a held object away, return home."""
+
+    @abstractmethod
+    def bin_empty(self) -> bool:
+        """Whether nothing is left to pick."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give resources back."""
+
+
+@dataclass
+class _Contact:
+    """What the tool ran into during a descent."""
+
+    object: bool = False
+    wall: bool = False
+
+
+class SimulatedRobot(Robot):
+    """A UR5 over a bin in PyBullet.
+
+    Args:
+        workspace: The heightmap's grid; the bin is as large.
+        camera: The RGB-D camera.
+        objects: What lies in the bin.
+        end_effector: The tool, and with it the primitive.
+        arm: The arm's place and speeds.
+        bin: The bin's walls and the waiting times.
+        clearance: World z in metres of the tool's tip at which free motion ends and the descent begins.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        camera: Camera,
+        objects: ObjectSet,
+        end_effector: EndEffector,
+        arm: ArmConfig,
+        bin: BinConfig,
+        clearance: float,
+    ):
+        self.workspace = workspace
+        self._camera = camera
+        self._tool = end_effector
+        self._config = arm
+        self._clearance = clearance
+        self._simulation = Simulation()
+        self._arm = Arm(self._simulation, arm, urdf.mount(urdf.ur5(), end_effector.urdf()))
+        self._scene = Scene(self._simulation, bin, workspace.width, workspace.length, objects)
+        self._background: Heightmap | None = None
+        self.rebuilds = 0
+        """Scenes that would not settle and were rebuilt from the next sub-seed."""
+
+    @property
+    def lost(self) -> int:
+        """Objects that left the bin since the last reset."""
+        return self._scene.lost
+
+    @property
+    def objects_left(self) -> int:
+        """Objects in the bin."""
+        return len(self._scene.bodies)
+
+    def reset(self, scene_seed: int, split: Split) -> None:
+        for attempt in range(REBUILDS):
+            rng = generator("scene", scene_seed, attempt)
+            self._build()
+            if self._scene.drop(rng, split):
+                break
+            self.rebuilds += 1
+        else:
+            raise RuntimeError(f"scene {scene_seed} did not settle in {REBUILDS} tries: raise robot.bin.settle_steps")
+        self._noise = generator("sensor", scene_seed)
+
+    def background(self) -> Heightmap:
+        """The empty bin, seen once without noise. Clears the scene: call it before :meth:`reset`."""
+        if self._background is None:
+            self._build()
+            color, depth, _ = self._camera.render(self._simulation)
+            self._background = self._heightmap(color, depth)
+        return self._background
+
+    def observe(self) -> Observation:
+        color, depth, _ = self._camera.render(self._simulation)
+        sensed = self._camera.noise(depth, self._noise)
+        return Observation(self._heightmap(color, sensed), color, sensed)
+
+    def truth(self) -> Truth:
+        """What the simulator knows of the present scene."""
+        color, depth, body = self._camera.render(self._simulation)
+        points = hm.point_cloud(depth, self._camera.intrinsics, self._camera.pose)
+        heightmap = hm.project(color, depth, points, self.workspace)
+        ids = np.where(np.isin(body, [b.id for b in self._scene.bodies]), body, -1)
+        rows, cols, index = hm.highest(points, depth > 0, self.workspace)
+        cells = np.full(self.workspace.shape, -1)
+        cells[rows, cols] = ids.ravel()[index]
+        source, known = hm.fill(heightmap.valid)
+        return Truth(heightmap, np.where(known, cells[source], -1))
+
+    def execute(self, pick: Pick) -> Outcome:
+        arm, tool = self._arm, self._tool
+        steps, seconds = self._simulation.steps, arm.seconds
+        before = self._scene.positions()
+        above, at = self._path(pick)
+        down = arm.line(above, at, pick.angle, self._config.tool_speed)
+        if down is None:
+            return Outcome(False, False, "unreachable", 0.0, 0.0, 0)
+        tool.prepare()
+        arm.move(down[0])
+        contact = _Contact()
+        blocked = arm.follow(down, until=self._blocked(contact))
+        stopped = blocked and contact.wall  # a protective stop: the tool stays as it is and the arm withdraws
+        engaged = False
+        if not stopped:
+            tool.engage()
+            engaged = tool.engaged()
+            self._note_contact(contact)
+        self._lift(pick)
+        reading, success = (0.0, False) if stopped else tool.sense()
+        held = self._held(before)
+        cause = self._cause(success, engaged, blocked, contact)
+        tool.release()
+        if success:
+            self._scene.remove(held)
+        arm.home()
+        self._scene.settle()
+        self._scene.clear_lost()
+        return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self._simulation.steps - steps)
+
+    def bin_empty(self) -> bool:
+        return not self._scene.bodies
+
+    def close(self) -> None:
+        self._simulation.close()
+
+    def _build(self) -> None:
+        self._simulation.clear()
+        self._arm.load()
+        self._tool.bind(self._simulation, self._arm)
+        self._scene.build()
+
+    def _heightmap(self, color: np.ndarray, depth: np.ndarray) -> Heightmap:
+        points = hm.point_cloud(depth, self._camera.intrinsics, self._camera.pose)
+        return hm.project(color, depth, points, self.workspace)
+
+    def _path(self, pick: Pick) -> tuple[np.ndarray, np.ndarray]:
+        """World positions of ``tool0`` above the pick and at it."""
+        z = self._tool.depth_at(pick) + self._tool.length()
+        above = max(self._clearance + self._tool.length(), z)
+        return np.array([pick.x, pick.y, above]), np.array([pick.x, pick.y, z])
+
+    def _lift(self, pick: Pick) -> None:
+        start = self._arm.commanded_position
+        up = self._arm.line(start, start + [0, 0, LIFT], pick.angle, self._config.tool_speed)
+        assert up is not None, "the lift retraces the reachable descent"
+        self._arm.follow(up, until=lambda: self._tool.lost_hold() and False)
+        self._arm.wait(HOLD_STEPS, until=lambda: self._tool.lost_hold() and False)
+
+    def _blocked(self, contact: _Contact) -> Callable[[], bool]:
+        """After each step of a descent: whether the tool meets more force than it may."""
+
+        def blocked() -> bool:
+            force = self._note_contact(contact)
+            return force > self._tool.contact_limit
+
+        return blocked
+
+    def _note_contact(self, contact: _Contact) -> float:
+        """Newtons on the robot; remembers in ``contact`` what it touched."""
+        points = self._simulation.client.getContactPoints(bodyA=self._arm.body)
+        touched = {point[2] for point in points if point[9] > 0}
+        contact.wall |= not touched.isdisjoint(self._scene.walls)
+        contact.object |= any(body.id in touched for body in self._scene.bodies)
+        return float(sum(point[9] for point in points))
+
+    def _held(self, before: dict[int, np.ndarray]) -> set[int]:
+        """Objects that rose with the tool, touch it, and touch nothing of the bin."""
+        client = self._simulation.client
+        held = set()
+        for body, position in self._scene.positions().items():
+            risen = position[2] - before[body][2] > HELD
+            if not risen or not client.getClosestPoints(self._arm.body, body, 0.005):
+                continue
+            if not any(client.getContactPoints(body, b) for b in (self._scene.floor, *self._scene.walls)):
+                held.add(body)
+        return held
+
+    def _cause(self, success: bool, engaged: bool, blocked: bool, contact: _Contact) -> Cause:
+        if success:
+            return "ok"
+        if blocked and contact.wall:
+            return "wall"
+        if engaged:
+            return "slipped"
+        if not contact.object:
+            return "missed"
+        if self._tool.primitive == "suction":
+            return "no_seal"
+        return "collision" if blocked else "slipped"

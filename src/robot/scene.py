@@ -1,0 +1,173 @@
+"""The table, the bin and what lies in it."""
+
+from __future__ import annotations
+
+import colorsys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from see2act.robot.objects import ObjectSet, shape
+from see2act.robot.simulation import Simulation
+from see2act.robot.types import Split
+
+AT_REST = 0.01
+"""m/s. Slower than this an object counts as lying still."""
+
+
+@dataclass(frozen=True)
+class BinConfig:
+    """The bin: an open box around the workspace, its floor at z = 0.
+
+    Args:
+        wall_height: Metres.
+        wall_thickness: Metres.
+        margin: Metres between the walls and the area that objects are dropped into.
+        drop_height: Metres above the floor from which objects fall.
+        settle_steps: Most timesteps to wait for rest after a reset.
+        rest_steps: The same after an attempt.
+    """
+
+    wall_height: float
+    wall_thickness: float
+    margin: float
+    drop_height: float
+    settle_steps: int
+    rest_steps: int
+
+
+@dataclass(frozen=True)
+class Body:
+    """An object in the simulation."""
+
+    id: int
+    name: str
+    scale: float
+
+
+class Scene:
+    """Builds the bin, drops objects into it and keeps count of them.
+
+    Args:
+        simulation: The world to build in.
+        config: Bin and waiting times.
+        width: Inner extent of the bin along x, metres.
+        length: The same along y.
+        objects: What may be dropped.
+    """
+
+    def __init__(self, simulation: Simulation, config: BinConfig, width: float, length: float, objects: ObjectSet):
+        self._simulation = simulation
+        self._config = config
+        self._size = np.array([width, length])
+        self._objects = objects
+        self._files = tempfile.TemporaryDirectory()
+        self.bodies: list[Body] = []
+        self.lost = 0
+        """Objects that left the bin since the last reset."""
+
+    def build(self) -> None:
+        """Table and empty bin in an empty simulation."""
+        thickness, height = self._config.wall_thickness, self._config.wall_height
+        x, y = self._size / 2
+        self.bodies, self.lost = [], 0
+        self.table = self._block((1.0, 0.8, 0.02), (-0.1, 0, -0.03), (0.72, 0.65, 0.55))
+        self.floor = self._block((x + thickness, y + thickness, 0.005), (0, 0, -0.005), (0.32, 0.33, 0.35))
+        self.walls = self._ring(x, y, thickness / 2, height, (0.25, 0.42, 0.6))
+
+    def drop(self, rng: np.random.Generator, split: Split) -> bool:
+        """Let objects fall in one after the other and wait until they lie still.
+
+        Returns:
+            Whether all of them lie still inside the bin. If not, start over with another generator.
+        """
+        client = self._simulation.client
+        area = self._size / 2 - self._config.margin
+        # Tall guides keep what bounces in its place; they go before anything is seen or picked.
+        guides = self._ring(*area, 0.02, 0.5, None)
+        names = rng.choice(self._objects.names(split), self._objects.kinds, replace=False)
+        order = rng.permutation(np.repeat(names, self._objects.copies))
+        for name in order:
+            position = (*rng.uniform(-area / 2, area / 2), self._config.drop_height)
+            self._add(str(name), float(rng.uniform(*self._objects.scale)), position, _random_rotation(rng), _random_color(rng))
+            for _ in range(50):
+                self._simulation.step()
+        self.settle(self._config.settle_steps)
+        for guide in guides:
+            client.removeBody(guide)
+        still = self.settle(self._config.settle_steps)
+        return still and all(self._inside(body) for body in self.bodies)
+
+    def settle(self, steps: int | None = None) -> bool:
+        """Step until every object lies still, at most ``steps`` times; whether they do."""
+        for i in range(self._config.rest_steps if steps is None else steps):
+            if i % 10 == 0 and self.at_rest():
+                return True
+            self._simulation.step()
+        return self.at_rest()
+
+    def at_rest(self) -> bool:
+        """Whether every object moves slower than 1 cm/s."""
+        velocities = [self._simulation.client.getBaseVelocity(body.id)[0] for body in self.bodies]
+        return all(np.linalg.norm(velocity) < AT_REST for velocity in velocities)
+
+    def positions(self) -> dict[int, np.ndarray]:
+        """World position in metres of each object's centre, by body id."""
+        client = self._simulation.client
+        return {body.id: np.array(client.getBasePositionAndOrientation(body.id)[0]) for body in self.bodies}
+
+    def remove(self, ids: set[int]) -> None:
+        """Take objects out of the world."""
+        for i in ids:
+            self._simulation.client.removeBody(i)
+        self.bodies = [body for body in self.bodies if body.id not in ids]
+
+    def clear_lost(self) -> None:
+        """Remove and count what has left the bin."""
+        out = {body.id for body in self.bodies if not self._inside(body)}
+        self.lost += len(out)
+        self.remove(out)
+
+    def _inside(self, body: Body) -> bool:
+        position = np.array(self._simulation.client.getBasePositionAndOrientation(body.id)[0])
+        return bool((np.abs(position[:2]) < self._size / 2).all() and -0.005 < position[2] < 0.3)
+
+    def _add(self, name: str, scale: float, position: tuple[float, ...], rotation: np.ndarray, color: tuple[float, ...]) -> None:
+        client = self._simulation.client
+        path = Path(self._files.name) / f"{name}.obj"
+        if not path.exists():
+            path.write_text(shape(name).obj())
+        collision = client.createCollisionShape(client.GEOM_MESH, fileName=str(path), meshScale=[scale] * 3)
+        visual = client.createVisualShape(client.GEOM_MESH, fileName=str(path), meshScale=[scale] * 3, rgbaColor=(*color, 1))
+        mass = shape(name).volume * scale**3 * self._objects.density
+        body = client.createMultiBody(mass, collision, visual, position, rotation)
+        client.changeDynamics(
+            body, -1, lateralFriction=0.6, spinningFriction=0.002, rollingFriction=0.0005, restitution=0.0, linearDamping=0.1, angularDamping=0.2
+        )
+        self.bodies.append(Body(body, name, scale))
+
+    def _ring(self, x: float, y: float, half: float, height: float, color: tuple[float, float, float] | None) -> list[int]:
+        """Four walls whose inner faces stand at +-x and +-y."""
+        blocks = []
+        for sign in (-1, 1):
+            blocks.append(self._block((half, y + 2 * half, height / 2), (sign * (x + half), 0, height / 2), color))
+            blocks.append(self._block((x, half, height / 2), (0, sign * (y + half), height / 2), color))
+        return blocks
+
+    def _block(self, half: tuple[float, float, float], at: tuple[float, float, float], color: tuple[float, float, float] | None) -> int:
+        client = self._simulation.client
+        collision = client.createCollisionShape(client.GEOM_BOX, halfExtents=half)
+        visual = -1 if color is None else client.createVisualShape(client.GEOM_BOX, halfExtents=half, rgbaColor=(*color, 1))
+        return int(client.createMultiBody(0, collision, visual, at))
+
+
+def _random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """A uniform unit quaternion, xyzw."""
+    q = rng.normal(size=4)
+    return q / np.linalg.norm(q)
+
+
+def _random_color(rng: np.random.Generator) -> tuple[float, float, float]:
+    return colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.5, 1.0), rng.uniform(0.5, 1.0))

@@ -1,0 +1,184 @@
+"""A suction cup: a bellows that must seal all around its rim and can hold only so much."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from see2act.robot import urdf
+from see2act.robot.arm import Arm
+from see2act.robot.end_effector import EndEffector
+from see2act.robot.simulation import Simulation
+from see2act.robot.types import Pick
+
+RIM_RAYS = 16
+ANCHORS = 4
+"""Points of the rim that pull on the object; together they carry force and moment."""
+RAYS_ONLY, EVERYTHING = 1, 2
+"""Collision groups: the cup leaves the first, so that rays from inside it see past it."""
+
+
+class SuctionCup(EndEffector):
+    """Presses, seals, pulls; success is a vacuum that is still there after the lift.
+
+    The seal forms where rays from the whole rim meet one body, on a plane within ``flatness``, tilted by no
+    more than ``tilt``. It then pulls with the pressure times the cup's area, spread over the rim: too heavy,
+    too far off the centre of mass or stuck, and a side of the rim comes off.
+
+    Args:
+        holder_length, holder_radius: The tube, metres.
+        cup_length, cup_radius: The bellows, metres.
+        travel: Metres the bellows can be pressed together.
+        stiffness: Newtons that press it together.
+        press: Metres below the surface that the rim is sent.
+        flatness: Largest distance of the rim from a plane that the lip still follows, metres.
+        tilt: Largest angle between cup and surface, radians.
+        vacuum: kPa below ambient with a perfect seal.
+        leak: Share of the vacuum lost on a surface at the limit of ``flatness``.
+        open_pressure: kPa below ambient with the pump running on free air.
+        threshold: kPa of difference that count as a hold.
+        peel: Metres that a point of the rim may come off before the seal is lost.
+        contact_limit: Newtons on the tool at which a descent stops.
+    """
+
+    primitive = "suction"
+
+    def __init__(
+        self,
+        holder_length: float,
+        holder_radius: float,
+        cup_length: float,
+        cup_radius: float,
+        travel: float,
+        stiffness: float,
+        press: float,
+        flatness: float,
+        tilt: float,
+        vacuum: float,
+        leak: float,
+        open_pressure: float,
+        threshold: float,
+        peel: float,
+        contact_limit: float,
+    ):
+        self._holder_length, self._holder_radius = holder_length, holder_radius
+        self._cup_length, self._cup_radius = cup_length, cup_radius
+        self._travel, self._stiffness, self._press = travel, stiffness, press
+        self._flatness, self._tilt = flatness, tilt
+        self._vacuum, self._leak, self._open = vacuum, leak, open_pressure
+        self._threshold, self._peel = threshold, peel
+        self.contact_limit = contact_limit
+
+    def urdf(self) -> ET.Element:
+        return urdf.suction_tip(self._holder_length, self._holder_radius, self._cup_length, self._cup_radius, self._travel)
+
+    def bind(self, simulation: Simulation, arm: Arm) -> None:
+        self._simulation, self._arm = simulation, arm
+        self._cup = arm.link_index["suction_cup"]
+        self._seal: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._sealed_body = -1
+        self._pressure = self._before = 0.0
+        client = simulation.client
+        client.changeDynamics(arm.body, self._cup, lateralFriction=0.9)
+        client.setCollisionFilterGroupMask(arm.body, self._cup, EVERYTHING, -1)
+        client.setJointMotorControl2(
+            arm.body, arm.joint_index["cup_joint"], client.POSITION_CONTROL, 0.0, force=self._stiffness, maxVelocity=0.5
+        )
+
+    def length(self) -> float:
+        return self._holder_length + self._cup_length
+
+    def depth_at(self, pick: Pick) -> float:
+        return max(pick.z - self._press, 0.0)
+
+    def prepare(self) -> None:
+        self.release()
+        self._before = self._pressure = self._open
+
+    def engage(self) -> None:
+        self._arm.wait(8)
+        body, quality = self._touch()
+        self._had_seal = body is not None
+        if body is not None:
+            self._pressure = self._vacuum * quality
+            self._attach(body)
+
+    def engaged(self) -> bool:
+        return self._had_seal
+
+    def lost_hold(self) -> bool:
+        if self._seal and max(self._gaps()) > self._peel:
+            self.release()
+            return True
+        return False
+
+    def sense(self) -> tuple[float, bool]:
+        difference = self._pressure - self._before
+        return difference, difference > self._threshold
+
+    def release(self) -> None:
+        for constraint, _, _ in self._seal:
+            self._simulation.client.removeConstraint(constraint)
+        self._seal = []
+        self._had_seal = False
+        self._pressure = self._open
+
+    def _touch(self) -> tuple[int | None, float]:
+        """The body under the whole rim and the quality of the seal on it, or None."""
+        client = self._simulation.client
+        position, rotation = self._cup_frame()
+        rim = self._rim(RIM_RAYS)
+        starts = (rim - [0, 0, 0.006]) @ rotation.T + position
+        ends = (rim + [0, 0, 0.012]) @ rotation.T + position
+        hits = client.rayTestBatch(starts.tolist(), ends.tolist(), collisionFilterMask=RAYS_ONLY)
+        bodies = {hit[0] for hit in hits}
+        if len(bodies) != 1 or bodies & {-1, self._arm.body}:
+            return None, 0.0
+        points = np.array([hit[3] for hit in hits])
+        centred = points - points.mean(0)
+        normal = np.linalg.svd(centred)[2][2]
+        off_plane = float(np.abs(centred @ normal).max())
+        tilt = float(np.arccos(min(1.0, abs(normal @ rotation[:, 2]))))
+        if off_plane > self._flatness or tilt > self._tilt:
+            return None, 0.0
+        return bodies.pop(), 1 - self._leak * off_plane / self._flatness
+
+    def _attach(self, body: int) -> None:
+        client = self._simulation.client
+        position, rotation = self._cup_frame()
+        at, turn = client.getBasePositionAndOrientation(body)
+        body_rotation = np.array(client.getMatrixFromQuaternion(turn)).reshape(3, 3)
+        force = self._pressure * 1000 * np.pi * self._cup_radius**2
+        # A link's constraint frame starts at its centre of mass, half-way up the cup.
+        for point in self._rim(ANCHORS):
+            on_body = body_rotation.T @ (rotation @ point + position - at)
+            on_link = point - [0, 0, -self._cup_length / 2 + 0.0]
+            constraint = client.createConstraint(
+                self._arm.body, self._cup, body, -1, client.JOINT_POINT2POINT, (0, 0, 0), on_link.tolist(), on_body.tolist()
+            )
+            client.changeConstraint(constraint, maxForce=force / ANCHORS)
+            self._seal.append((constraint, point, on_body))
+        self._sealed_body = body
+
+    def _gaps(self) -> list[float]:
+        """Metres between each anchor on the rim and its place on the object."""
+        client = self._simulation.client
+        position, rotation = self._cup_frame()
+        at, turn = client.getBasePositionAndOrientation(self._sealed_body)
+        body_rotation = np.array(client.getMatrixFromQuaternion(turn)).reshape(3, 3)
+        return [
+            float(np.linalg.norm(rotation @ point + position - body_rotation @ on_body - at)) for _, point, on_body in self._seal
+        ]
+
+    def _cup_frame(self) -> tuple[np.ndarray, np.ndarray]:
+        """World position of the rim's centre and the rotation whose z axis points out of the cup."""
+        client = self._simulation.client
+        state = client.getLinkState(self._arm.body, self._cup, computeForwardKinematics=1)
+        rotation = np.array(client.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        return np.array(state[4]) + rotation[:, 2] * self._cup_length, rotation
+
+    def _rim(self, n: int) -> np.ndarray:
+        """``n`` points of the rim in the rim's frame, metres."""
+        angles = 2 * np.pi * np.arange(n) / n
+        return self._cup_radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])

@@ -1,0 +1,59 @@
+"""The grid over the bin: pixels to world points and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from see2act.robot.types import Heightmap, Pick, RobotError
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A rectangle on the bin floor, centred on the world's origin, cut into square pixels.
+
+    Args:
+        name: The word people type.
+        width: Extent along x, metres.
+        length: Extent along y, metres.
+        pixel: Side of a pixel, metres.
+    """
+
+    name: str
+    width: float
+    length: float
+    pixel: float
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.length, self.pixel) <= 0:
+            raise RobotError(f"workspace.width, length and pixel must be positive metres, got {self}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the heightmap."""
+        return round(self.length / self.pixel), round(self.width / self.pixel)
+
+    def to_world(self, row: float, col: float) -> tuple[float, float]:
+        """World x, y in metres of a pixel's centre."""
+        x = -self.width / 2 + (col + 0.5) * self.pixel
+        y = self.length / 2 - (row + 0.5) * self.pixel
+        return x, y
+
+    def to_pixel(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column (int) of the pixel that holds each world point; may lie outside the grid."""
+        col = np.floor((np.asarray(x) + self.width / 2) / self.pixel).astype(int)
+        row = np.floor((self.length / 2 - np.asarray(y)) / self.pixel).astype(int)
+        return row, col
+
+    def pick(self, heightmap: Heightmap, row: int, col: int, angle: float) -> Pick:
+        """The pick at a pixel of ``heightmap``.
+
+        Raises:
+            RobotError: The pixel lies outside the heightmap.
+        """
+        rows, cols = heightmap.height.shape
+        if not (0 <= row < rows and 0 <= col < cols):
+            raise RobotError(f"pixel ({row}, {col}) lies outside the {rows} x {cols} heightmap")
+        x, y = self.to_world(row, col)
+        return Pick(int(row), int(col), float(angle), x, y, float(heightmap.height[row, col]))
