@@ -33,6 +33,7 @@ class Robot(ABC):
     """What learning needs of a robot: a class for another robot implements these five."""
 
     workspace: Workspace
+    primitive: str
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split) -> None:
@@ -87,6 +88,7 @@ class SimulatedRobot(Robot):
         clearance: float,
     ):
         self.workspace = workspace
+        self.primitive = end_effector.primitive
         self._camera = camera
         self._tool = end_effector
         self._config = arm
@@ -108,11 +110,12 @@ class SimulatedRobot(Robot):
         """Objects in the bin."""
         return len(self._scene.bodies)
 
-    def reset(self, scene_seed: int, split: Split) -> None:
+    def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
+        """As promised by :class:`Robot`; ``count`` drops only that many of the scene's objects."""
         for attempt in range(REBUILDS):
             rng = generator("scene", scene_seed, attempt)
             self._build()
-            if self._scene.drop(rng, split):
+            if self._scene.drop(rng, split, count):
                 break
             self.rebuilds += 1
         else:

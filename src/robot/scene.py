@@ -77,8 +77,8 @@ class Scene:
         self.floor = self._block((x + thickness, y + thickness, 0.005), (0, 0, -0.005), (0.32, 0.33, 0.35))
         self.walls = self._ring(x, y, thickness / 2, height, (0.25, 0.42, 0.6))
 
-    def drop(self, rng: np.random.Generator, split: Split) -> bool:
-        """Let objects fall in one after the other and wait until they lie still.
+    def drop(self, rng: np.random.Generator, split: Split, count: int | None = None) -> bool:
+        """Let objects fall in one after the other and wait until they lie still; all of them, or only ``count``.
 
         Returns:
             Whether all of them lie still inside the bin. If not, start over with another generator.
@@ -89,7 +89,7 @@ class Scene:
         guides = self._ring(*area, 0.02, 0.5, None)
         names = rng.choice(self._objects.names(split), self._objects.kinds, replace=False)
         order = rng.permutation(np.repeat(names, self._objects.copies))
-        for name in order:
+        for name in order[:count]:
             position = (*rng.uniform(-area / 2, area / 2), self._config.drop_height)
             self._add(str(name), float(rng.uniform(*self._objects.scale)), position, _random_rotation(rng), _random_color(rng))
             for _ in range(50):

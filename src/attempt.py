@@ -1,0 +1,58 @@
+"""One attempt: observe, decide, act. The same code serves fine-tuning and evaluation."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from see2act.policy import Choice, Policy
+from see2act.robot.robot import Robot
+from see2act.robot.types import Heightmap, Observation, Outcome, Pick
+
+Affordances = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
+"""From colour (H, W, 3) uint8 and height (H, W) metres to logits of success."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What was seen, chosen, done, and what came of it. Times are wall seconds, for information only."""
+
+    observation: Observation
+    choice: Choice
+    pick: Pick
+    outcome: Outcome
+    t_observe: float
+    t_decide: float
+    t_act: float
+
+    @property
+    def heightmap(self) -> Heightmap:
+        """The heightmap that the pick was decided on."""
+        return self.observation.heightmap
+
+
+def attempt(
+    robot: Robot,
+    affordances: Affordances,
+    policy: Policy,
+    temperature: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> Attempt:
+    """Observe, decide, act, and let the policy remember."""
+    start = time.perf_counter()
+    observation = robot.observe()
+    seen = time.perf_counter()
+    heightmap = observation.heightmap
+    logits = affordances(heightmap.color, heightmap.height)
+    choice = policy.choose(logits, heightmap, temperature, rng)
+    decided = time.perf_counter()
+    pick = robot.workspace.pick(heightmap, choice.row, choice.col, choice.angle * math.pi / len(logits))
+    outcome = robot.execute(pick)
+    policy.remember(choice, heightmap, outcome.success)
+    acted = time.perf_counter()
+    return Attempt(observation, choice, pick, outcome, seen - start, decided - seen, acted - decided)

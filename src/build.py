@@ -1,0 +1,53 @@
+"""From configuration to objects. Everything here is cheap to import; torch is not imported."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from see2act.datamodules.labels import Task
+from see2act.policy import Policy
+from see2act.robot.robot import SimulatedRobot
+
+
+def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any, end_effector: Any) -> SimulatedRobot:
+    """A robot from plain configuration, so that worker processes can build their own."""
+    built: SimulatedRobot = instantiate(
+        robot,
+        workspace=instantiate(workspace),
+        camera=instantiate(camera, _convert_="all"),
+        objects=instantiate(objects, _convert_="all"),
+        end_effector=instantiate(end_effector),
+    )
+    return built
+
+
+def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRobot]:
+    """Builds the robot of a run with a primitive's end effector; picklable."""
+    return partial(
+        make_robot,
+        robot=_plain(cfg.robot),
+        workspace=_plain(cfg.workspace),
+        camera=_plain(cfg.camera),
+        objects=_plain(cfg.objects),
+        end_effector=_plain(primitive.end_effector),
+    )
+
+
+def policy(cfg: DictConfig) -> Policy:
+    """The rule that turns affordances into picks."""
+    built: Policy = instantiate(cfg.policy)
+    return built
+
+
+def task(cfg: DictConfig) -> Task:
+    """What the vision model learns."""
+    built: Task = instantiate(cfg.task.label)
+    return built
+
+
+def _plain(node: Any) -> Any:
+    return OmegaConf.to_container(node, resolve=True)

@@ -1,0 +1,218 @@
+"""The schema of a run's configuration, and the checks that no type can express."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+LOCAL = ("hydra", "paths", "logger", "trainer", "seed", "force", "figures")
+"""What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
+HASH_LENGTH = 12
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot run; the message is one line and names the mend."""
+
+
+@dataclass
+class TaskConfig:
+    """A source of parameters: a vision task, or none."""
+
+    name: str = MISSING
+    label: dict[str, Any] | None = None
+    """``_target_`` and arguments of a :class:`see2act.datamodules.labels.Task`; null where nothing is learned."""
+    parts: list[str] = field(default_factory=list)
+    """What this source can give: backbone, head."""
+    class_weight: str = "none"
+    """``none``, or ``balanced`` to weigh positive pixels by the inverse of their share."""
+
+
+@dataclass
+class TransferConfig:
+    """What is copied from the vision model."""
+
+    name: str = MISSING
+    parts: list[str] = field(default_factory=list)
+    finetune: bool = True
+
+
+@dataclass
+class PrimitiveConfig:
+    """A motion primitive and the numbers that go with it."""
+
+    name: str = MISSING
+    angles: int = MISSING
+    end_effector: dict[str, Any] = field(default_factory=dict)
+    attempts: int = MISSING
+    """Fine-tuning attempts of the main job."""
+    evaluate_at: list[int] = field(default_factory=list)
+
+
+@dataclass
+class CollectConfig:
+    """Random interaction before pre-training."""
+
+    interactions: int = MISSING
+    per_scene: int = MISSING
+    seed: int = MISSING
+    workers: int = MISSING
+    primitive: PrimitiveConfig = field(default_factory=PrimitiveConfig)
+
+
+@dataclass
+class PretrainConfig:
+    """Learning to see."""
+
+    epochs: int = MISSING
+    batch_size: int = MISSING
+    lr: float = MISSING
+    weight_decay: float = MISSING
+    validation: float = MISSING
+    seed: int = MISSING
+
+
+@dataclass
+class ReplayConfig:
+    """Prioritized experience replay."""
+
+    alpha: float = MISSING
+    beta: float = MISSING
+    floor: float = MISSING
+
+
+@dataclass
+class FinetuneConfig:
+    """Learning to act."""
+
+    attempts: int = MISSING
+    updates: int = MISSING
+    batch_size: int = MISSING
+    backbone_lr: float = MISSING
+    head_lr: float = MISSING
+    weight_decay: float = MISSING
+    batchnorm: str = MISSING
+    temperature: float = MISSING
+    episode_attempts: int = MISSING
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+
+
+@dataclass
+class EvaluateConfig:
+    """Measuring success."""
+
+    runs: int = MISSING
+    at: list[int] = MISSING
+    attempts: dict[str, int] = MISSING
+
+
+@dataclass
+class PathsConfig:
+    """Where things are kept."""
+
+    cache: str = MISSING
+    output: str = MISSING
+
+
+@dataclass
+class Config:
+    """Everything a run depends on. Groups without a class of their own are read by what they instantiate."""
+
+    task: TaskConfig = field(default_factory=TaskConfig)
+    transfer: TransferConfig = field(default_factory=TransferConfig)
+    primitive: PrimitiveConfig = field(default_factory=PrimitiveConfig)
+    model: dict[str, Any] = field(default_factory=dict)
+    objects: dict[str, Any] = field(default_factory=dict)
+    workspace: dict[str, Any] = field(default_factory=dict)
+    camera: dict[str, Any] = field(default_factory=dict)
+    robot: dict[str, Any] = field(default_factory=dict)
+    policy: dict[str, Any] = field(default_factory=dict)
+    trainer: dict[str, Any] = field(default_factory=dict)
+    logger: dict[str, Any] = field(default_factory=dict)
+    labels: str = "truth"
+    seed: int = 0
+    force: bool = False
+    collect: CollectConfig = field(default_factory=CollectConfig)
+    pretrain: PretrainConfig = field(default_factory=PretrainConfig)
+    finetune: FinetuneConfig = field(default_factory=FinetuneConfig)
+    evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
+    figures: dict[str, Any] = field(default_factory=dict)
+    paths: PathsConfig = field(default_factory=PathsConfig)
+
+
+def register() -> None:
+    """Make the schema and the hash known to Hydra; safe to call twice."""
+    ConfigStore.instance().store("schema", Config)
+    OmegaConf.register_new_resolver("config_hash", lambda _root_: config_hash(_root_), replace=True)
+
+
+def config_hash(cfg: DictConfig) -> str:
+    """Hash of everything that can change a result but the seed: the runs that differ by seed alone share it."""
+    parts = {str(key): cfg._get_node(key) for key in cfg if key not in LOCAL}
+    plain = {key: OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else cfg[key] for key, node in parts.items()}
+    plain["collect"].pop("workers", None)
+    return content_hash(plain)
+
+
+def content_hash(data: object) -> str:
+    """Twelve hexadecimal digits that depend on plain data only."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:HASH_LENGTH]
+
+
+def illegal_cell(cfg: DictConfig) -> str | None:
+    """Why a task and a transfer do not go together, with the mend; None where they do."""
+    task, transfer = cfg.task.name, cfg.transfer.name
+    if task == "none" and transfer != "none":
+        return f"task=none has nothing to transfer, so transfer={transfer} is impossible: use transfer=none, or choose a task"
+    if transfer == "none" and task != "none":
+        return f"transfer=none ignores task={task}: use task=none transfer=none for the baseline, or transfer=backbone|full|fixed"
+    missing = [part for part in cfg.transfer.parts if part not in cfg.task.parts]
+    if missing:
+        return f"task={task} has no {' or '.join(missing)}, so transfer={transfer} is impossible: use transfer=backbone"
+    return None
+
+
+def validate(cfg: DictConfig) -> None:
+    """Refuse what cannot run, before any work.
+
+    Raises:
+        ConfigError: With one line that names the mend.
+    """
+    if reason := illegal_cell(cfg):
+        raise ConfigError(reason)
+    _choice("labels", cfg.labels, ("truth", "vision"))
+    _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
+    _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
+    _at_least("finetune.attempts", cfg.finetune.attempts, 0)
+    for key in ("collect.interactions", "collect.per_scene", "collect.workers", "pretrain.epochs", "pretrain.batch_size"):
+        _at_least(key, OmegaConf.select(cfg, key), 1)
+    for key in ("finetune.updates", "finetune.batch_size", "finetune.episode_attempts", "evaluate.runs"):
+        _at_least(key, OmegaConf.select(cfg, key), 1)
+    for key in ("pretrain.lr", "finetune.backbone_lr", "finetune.head_lr", "finetune.temperature"):
+        _at_least(key, OmegaConf.select(cfg, key), 0)
+    for split in ("seen", "unseen"):
+        _at_least(f"evaluate.attempts.{split}", cfg.evaluate.attempts.get(split, 0), 1)
+    for step in cfg.evaluate.at:
+        _at_least("evaluate.at", step, 0)
+    if not 0 < cfg.pretrain.validation < 1:
+        raise ConfigError(f"pretrain.validation={cfg.pretrain.validation} must lie between 0 and 1: it is a share")
+    train = cfg.collect.interactions - max(1, round(cfg.pretrain.validation * cfg.collect.interactions))
+    if cfg.task.label and train < cfg.pretrain.batch_size:
+        raise ConfigError(
+            f"collect.interactions={cfg.collect.interactions} leaves {train} observations for training, less than one batch "
+            f"of {cfg.pretrain.batch_size}: collect more, or lower pretrain.batch_size"
+        )
+
+
+def _choice(key: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise ConfigError(f"{key}={value} is unknown: choose one of {', '.join(allowed)}")
+
+
+def _at_least(key: str, value: float, least: float) -> None:
+    if value < least:
+        raise ConfigError(f"{key}={value} is too small: it must be at least {least}")

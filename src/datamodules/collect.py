@@ -1,0 +1,109 @@
+"""The robot interacts at random, and what it sees is kept (paper: random interaction)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from see2act.datamodules.labels import View
+from see2act.files import replacing
+from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import Heightmap
+from see2act.seeding import generator, seed_for
+
+RobotFactory = Callable[[], SimulatedRobot]
+ARRAYS = ("color", "height", "valid", "clean_color", "clean_height", "clean_valid", "body")
+
+
+@dataclass(frozen=True)
+class Collection:
+    """Observations of random interaction, n of them, with the simulator's truth beside them."""
+
+    arrays: dict[str, np.ndarray]
+    background: Heightmap
+
+    def __len__(self) -> int:
+        return len(self.arrays["color"])
+
+    def view(self, i: int) -> View:
+        """One observation for labelling."""
+        a = self.arrays
+        return View(
+            sensed=Heightmap(a["color"][i], a["height"][i], a["valid"][i]),
+            clean=Heightmap(a["clean_color"][i], a["clean_height"][i], a["clean_valid"][i]),
+            body=a["body"][i].astype(int),
+            background=self.background,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write atomically."""
+        empty = {f"background_{k}": getattr(self.background, k) for k in ("color", "height", "valid")}
+        with replacing(path) as partial, partial.open("wb") as file:
+            np.savez_compressed(file, **self.arrays, **empty)
+
+    @classmethod
+    def load(cls, path: Path) -> Collection:
+        """Read what :meth:`save` wrote."""
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in ARRAYS}
+            background = Heightmap(file["background_color"], file["background_height"], file["background_valid"])
+        return cls(arrays, background)
+
+
+def collect(make_robot: RobotFactory, interactions: int, per_scene: int, most_objects: int, seed: int, workers: int) -> Collection:
+    """Observations made between random picks on seen objects.
+
+    Scenes hold a random number of objects, from one to all, so that emptied bins are seen too. The outcome does
+    not depend on ``workers``: every scene follows from the seed and its own number.
+
+    Args:
+        make_robot: Builds a robot; runs in worker processes, so it must pickle.
+        interactions: How many observations.
+        per_scene: Picks after which the bin is filled anew.
+        most_objects: Objects in a full bin.
+        seed: Of scenes and picks.
+        workers: Processes.
+    """
+    scenes = math.ceil(interactions / per_scene)
+    jobs = [(make_robot, seed, scene, min(per_scene, interactions - scene * per_scene), most_objects) for scene in range(scenes)]
+    parts = []
+    with tqdm(total=interactions, desc="collect", disable=None) as bar:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            for part in pool.map(_scene, *zip(*jobs, strict=True)):
+                parts.append(part)
+                bar.update(len(part.arrays["color"]))
+    arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in ARRAYS}
+    return Collection(arrays, parts[0].background)
+
+
+_robots: dict[int, SimulatedRobot] = {}
+"""The one robot of a worker process, which dies with it."""
+
+
+def _scene(make_robot: RobotFactory, seed: int, scene: int, interactions: int, most_objects: int) -> Collection:
+    if not _robots:
+        _robots[0] = make_robot()
+    robot = _robots[0]
+    rng = generator("collect", seed, scene)
+    background = robot.background()
+    count = int(rng.integers(1, most_objects + 1))
+    robot.reset(seed_for("scene/collect", seed, scene), "seen", count)
+    rows, cols = robot.workspace.shape
+    records = []
+    for _ in range(interactions):
+        observation, truth = robot.observe(), robot.truth()
+        sensed, clean = observation.heightmap, truth.heightmap
+        records.append(
+            (sensed.color, sensed.height, sensed.valid, clean.color, clean.height, clean.valid, truth.body.astype(np.int8))
+        )
+        angle = rng.integers(16) * np.pi / 16
+        robot.execute(robot.workspace.pick(sensed, int(rng.integers(rows)), int(rng.integers(cols)), float(angle)))
+    arrays = {name: np.stack(values) for name, values in zip(ARRAYS, zip(*records, strict=True), strict=True)}
+    return Collection(arrays, background)

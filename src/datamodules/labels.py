@@ -1,0 +1,235 @@
+"""The five vision tasks: how each labels a view of the bin (paper, section III-B).
+
+Every task labels a view by simulator truth (``truth``) or by the means of a real set-up (``vision``).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from see2act.robot.types import Heightmap
+
+Means = Literal["truth", "vision"]
+
+
+@dataclass(frozen=True)
+class View:
+    """One moment in the bin: what was sensed, what was true, and the empty bin."""
+
+    sensed: Heightmap
+    clean: Heightmap
+    body: np.ndarray
+    """Object identity a cell, -1 for none."""
+    background: Heightmap
+
+
+class Task(ABC):
+    """A vision task: a label for every pixel.
+
+    Args:
+        pixel: Metres a pixel.
+    """
+
+    def __init__(self, pixel: float):
+        self.pixel = pixel
+
+    def label(self, view: View, means: Means) -> Bool[np.ndarray, "H W"]:
+        """The label map by ``truth`` or by ``vision``."""
+        return self.truth(view) if means == "truth" else self.vision(view)
+
+    @abstractmethod
+    def truth(self, view: View) -> Bool[np.ndarray, "H W"]:
+        """From noise-free images and object masks."""
+
+    @abstractmethod
+    def vision(self, view: View) -> Bool[np.ndarray, "H W"]:
+        """From what a real robot could sense."""
+
+    def pixels(self, metres: float) -> int:
+        """A length in whole pixels, at least 1."""
+        return max(1, round(metres / self.pixel))
+
+
+class Edge(Task):
+    """Edges of the colour image by Canny.
+
+    Args:
+        pixel: Metres a pixel.
+        low, high: Canny's hysteresis thresholds, grey levels per pixel.
+        blur: Standard deviation of the Gaussian before it, pixels.
+    """
+
+    def __init__(self, pixel: float, low: float, high: float, blur: float):
+        super().__init__(pixel)
+        self._low, self._high, self._blur = low, high, blur
+
+    def truth(self, view: View) -> np.ndarray:
+        return self._canny(view.clean)
+
+    def vision(self, view: View) -> np.ndarray:
+        return self._canny(view.sensed)
+
+    def _canny(self, heightmap: Heightmap) -> np.ndarray:
+        grey = cv2.GaussianBlur(_grey(heightmap), (0, 0), self._blur)
+        return cv2.Canny(grey, self._low, self._high) > 0
+
+
+class Corner(Task):
+    """Corners of the colour image by Harris, as discs.
+
+    Args:
+        pixel: Metres a pixel.
+        window: Metres of the neighbourhood whose gradients are compared.
+        k: Harris' constant.
+        threshold: Share of the image's strongest response that still counts.
+        radius: Metres of the disc around each corner.
+    """
+
+    def __init__(self, pixel: float, window: float, k: float, threshold: float, radius: float):
+        super().__init__(pixel)
+        self._window, self._k, self._threshold, self._radius = window, k, threshold, radius
+
+    def truth(self, view: View) -> np.ndarray:
+        return self._harris(view.clean)
+
+    def vision(self, view: View) -> np.ndarray:
+        return self._harris(view.sensed)
+
+    def _harris(self, heightmap: Heightmap) -> np.ndarray:
+        response = cv2.cornerHarris(_grey(heightmap).astype(np.float32), self.pixels(self._window), 3, self._k)
+        size = 2 * self.pixels(self._radius) + 1
+        peak = (response == ndimage.maximum_filter(response, size)) & (response > self._threshold * response.max())
+        return discs(np.argwhere(peak), peak.shape, self.pixels(self._radius))
+
+
+class Foreground(Task):
+    """Object or background.
+
+    Args:
+        pixel: Metres a pixel.
+        height: Metres above the empty bin that are an object.
+        color: Distance in RGB (0..255) to the empty bin that is an object, where the height says nothing.
+        opening: Metres; specks smaller than this are noise.
+    """
+
+    def __init__(self, pixel: float, height: float, color: float, opening: float):
+        super().__init__(pixel)
+        self._height, self._color, self._opening = height, color, opening
+
+    def truth(self, view: View) -> np.ndarray:
+        return view.body >= 0
+
+    def vision(self, view: View) -> np.ndarray:
+        higher = view.sensed.height - view.background.height > self._height
+        difference = view.sensed.color.astype(float) - view.background.color
+        # Where one of the two views is hidden its colour is made up, and only the height can tell.
+        seen = view.sensed.valid & view.background.valid
+        painted = (np.linalg.norm(difference, axis=-1) > self._color) & seen
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (self.pixels(self._opening),) * 2)
+        return cv2.morphologyEx((higher | painted).astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
+
+
+class Center(Task):
+    """Object centres, as discs: the middle of each mask, or of each connected piece of foreground.
+
+    Args:
+        pixel: Metres a pixel.
+        radius: Metres of the disc.
+        smallest: Square metres below which a piece is no object.
+        foreground: How ``vision`` finds the pieces.
+    """
+
+    def __init__(self, pixel: float, radius: float, smallest: float, foreground: Foreground):
+        super().__init__(pixel)
+        self._radius, self._smallest, self._foreground = radius, smallest, foreground
+
+    def truth(self, view: View) -> np.ndarray:
+        masks = [view.body == body for body in np.unique(view.body[view.body >= 0])]
+        return self._discs(masks, view.body.shape)
+
+    def vision(self, view: View) -> np.ndarray:
+        foreground = self._foreground.vision(view)
+        pieces, count = ndimage.label(foreground)
+        return self._discs([pieces == i for i in range(1, count + 1)], foreground.shape)
+
+    def _discs(self, masks: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+        large = [mask for mask in masks if mask.sum() * self.pixel**2 >= self._smallest]
+        middles = np.array([np.argwhere(mask).mean(0) for mask in large]).round().astype(int).reshape(-1, 2)
+        return discs(middles, shape, self.pixels(self._radius))
+
+
+class Normal(Task):
+    """Flat surface of an object that faces up, against gravity.
+
+    Args:
+        pixel: Metres a pixel.
+        window: Metres of the neighbourhood that a plane is fitted to.
+        tilt: Largest angle of the plane's normal from the vertical, radians.
+        roughness: Largest root mean square distance from the plane, metres, on noise-free depth.
+        sensed_roughness: The same on sensed depth, whose noise comes on top.
+        foreground: How ``vision`` leaves the bin's floor out, which is flat and faces up but is no object.
+    """
+
+    def __init__(
+        self, pixel: float, window: float, tilt: float, roughness: float, sensed_roughness: float, foreground: Foreground
+    ):
+        super().__init__(pixel)
+        self._window, self._tilt = window, tilt
+        self._roughness, self._sensed_roughness = roughness, sensed_roughness
+        self._foreground = foreground
+
+    def truth(self, view: View) -> np.ndarray:
+        return self._flat(view.clean.height, self._roughness) & self._foreground.truth(view)
+
+    def vision(self, view: View) -> np.ndarray:
+        return self._flat(view.sensed.height, self._sensed_roughness) & self._foreground.vision(view)
+
+    def _flat(self, height: Float[np.ndarray, "H W"], roughness: float) -> np.ndarray:
+        tilt, rms = plane_fit(height, self.pixel, self.pixels(self._window / 2))
+        return (tilt < self._tilt) & (rms < roughness)
+
+
+def plane_fit(height: Float[np.ndarray, "H W"], pixel: float, radius: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares planes around every pixel.
+
+    Args:
+        height: Metres.
+        pixel: Metres a pixel.
+        radius: Pixels; the neighbourhood is a square of side 2 radius + 1.
+
+    Returns:
+        Angle of each plane's normal from the vertical in radians, and root mean square distance in metres.
+    """
+    offsets = np.arange(-radius, radius + 1) * pixel
+    n = len(offsets) ** 2
+    second = float((offsets**2).sum() * len(offsets))
+    h = height.astype(np.float64)
+    ones = np.ones_like(offsets)
+    mean = _correlate(h, ones, ones) / n
+    slope_x = _correlate(h, ones, offsets) / second
+    slope_y = _correlate(h, offsets, ones) / second
+    variance = _correlate(h * h, ones, ones) / n - mean**2 - (slope_x**2 + slope_y**2) * second / n
+    return np.arctan(np.hypot(slope_x, slope_y)), np.sqrt(np.maximum(variance, 0))
+
+
+def discs(centres: np.ndarray, shape: tuple[int, ...], radius: int) -> Bool[np.ndarray, "H W"]:
+    """A map that is True within ``radius`` pixels of any of the (n, 2) rows and columns."""
+    label = np.zeros(shape, np.uint8)
+    for row, col in centres:
+        cv2.circle(label, (int(col), int(row)), radius, 1, thickness=-1)
+    return label > 0
+
+
+def _correlate(image: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    return ndimage.correlate1d(ndimage.correlate1d(image, down, axis=0, mode="nearest"), across, axis=1, mode="nearest")
+
+
+def _grey(heightmap: Heightmap) -> np.ndarray:
+    return cv2.cvtColor(heightmap.color, cv2.COLOR_RGB2GRAY)

@@ -1,0 +1,64 @@
+"""Collected observations and their labels, for pre-training."""
+
+from __future__ import annotations
+
+import lightning as L
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, TensorDataset
+
+from see2act.datamodules.collect import Collection
+from see2act.datamodules.labels import Means, Task
+
+
+class VisionDataModule(L.LightningDataModule):
+    """Heightmaps as sensed, labels by truth or by vision.
+
+    Args:
+        collection: Observations of random interaction.
+        task: Makes the labels.
+        means: ``truth`` or ``vision``.
+        batch_size: Heightmaps a step.
+        validation: Share of the observations, the last ones, kept out of training.
+        seed: Of the order of batches.
+    """
+
+    def __init__(self, collection: Collection, task: Task, means: Means, batch_size: int, validation: float, seed: int):
+        super().__init__()
+        self._batch_size = batch_size
+        self._order = torch.Generator().manual_seed(seed)
+        labels = np.stack([task.label(collection.view(i), means) for i in range(len(collection))])
+        held_out = max(1, round(validation * len(collection)))
+        self.positive_share = float(labels.mean())
+        """Share of positive pixels over all observations."""
+        tensors = [torch.from_numpy(a) for a in (collection.arrays["color"], collection.arrays["height"], labels)]
+        self._train = TensorDataset(*[t[:-held_out] for t in tensors])
+        self._validation = TensorDataset(*[t[-held_out:] for t in tensors])
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Batches in an epoch."""
+        return len(self._train) // self._batch_size
+
+    def train_dataloader(self) -> DataLoader:
+        return DataLoader(
+            self._train, self._batch_size, shuffle=True, drop_last=True, generator=self._order, collate_fn=_as_batch
+        )
+
+    def val_dataloader(self) -> DataLoader:
+        return DataLoader(self._validation, self._batch_size, collate_fn=_as_batch)
+
+
+def channel_statistics(collection: Collection) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation of R, G, B in 0..1 and height in metres, over all observations."""
+    color = collection.arrays["color"].reshape(-1, 3).astype(np.float64) / 255
+    height = collection.arrays["height"].astype(np.float64)
+    mean = np.append(color.mean(0), height.mean())
+    std = np.append(color.std(0), height.std())
+    return torch.tensor(mean, dtype=torch.float32), torch.tensor(std, dtype=torch.float32)
+
+
+def _as_batch(samples: list[tuple[Tensor, ...]]) -> dict[str, Tensor]:
+    color, height, label = (torch.stack(t) for t in zip(*samples, strict=True))
+    return {"color": color, "height": height, "label": label}

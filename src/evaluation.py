@@ -1,0 +1,84 @@
+"""The paper's evaluation protocol (section IV)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from tqdm import tqdm
+
+from see2act.attempt import Affordances, Attempt, attempt
+from see2act.policy import Policy
+from see2act.robot.robot import Robot
+from see2act.robot.types import Split
+from see2act.seeding import seed_for
+
+SPLITS: tuple[Split, ...] = ("seen", "unseen")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How success is measured.
+
+    Args:
+        runs: Test runs a split.
+        attempts: Most attempts of a test run, by split (paper: 25 seen, 15 unseen).
+    """
+
+    runs: int
+    attempts: dict[str, int]
+
+
+def scene_seed(split: Split, run: int) -> int:
+    """The canonical scene of a test run: the same for every arm and seed, and never used in training."""
+    return seed_for(f"scene/evaluate/{split}", run)
+
+
+def evaluate(
+    robot: Robot,
+    affordances: Affordances,
+    policy: Policy,
+    protocol: Protocol,
+    record: Callable[..., None],
+    title: str = "evaluate",
+) -> dict[str, Any]:
+    """Success rates on seen and unseen objects.
+
+    A test run ends when the bin is truly empty or its attempts are spent.
+
+    Args:
+        robot: Reset to each canonical scene.
+        affordances: The model, not changed.
+        policy: The rule for picks; each test run starts with an empty memory.
+        protocol: Counts.
+        record: Called with each attempt and its split, policy, run, episode and scene_seed.
+        title: Of the progress bar.
+
+    Returns:
+        By split: successes, attempts, rate, truth_successes and the same by run, as in ``result.json``.
+    """
+    most = protocol.runs * sum(protocol.attempts[split] for split in SPLITS)
+    with tqdm(total=most, desc=title, disable=None) as bar:
+        return {split: _split(robot, affordances, policy, protocol, split, record, bar) for split in SPLITS}
+
+
+def _split(
+    robot: Robot, affordances: Affordances, policy: Policy, protocol: Protocol, split: Split, record: Callable[..., None], bar: tqdm
+) -> dict[str, Any]:
+    runs, truths = [], 0
+    for run in range(protocol.runs):
+        seed = scene_seed(split, run)
+        robot.reset(seed, split)
+        rule = policy.fresh()
+        results: list[Attempt] = []
+        while len(results) < protocol.attempts[split] and not robot.bin_empty():
+            results.append(attempt(robot, affordances, rule))
+            record(results[-1], split=split, policy=rule.name, run=run, episode=run, scene_seed=seed)
+            bar.update()
+        successes = sum(a.outcome.success for a in results)
+        truths += sum(a.outcome.truth for a in results)
+        runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results)})
+    successes, attempts = (sum(run[k] for run in runs) for k in ("successes", "attempts"))
+    rate = successes / attempts if attempts else 0.0
+    return {"successes": successes, "attempts": attempts, "rate": rate, "truth_successes": truths, "runs": runs}

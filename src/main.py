@@ -1,0 +1,172 @@
+"""The command line of ``train.py``: check first, then work."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from see2act.config import ConfigError, illegal_cell, register, validate
+
+log = logging.getLogger("see2act")
+FLAGS = ("-m", "--multirun", "--help", "-h", "--hydra-help", "--cfg", "-c", "--info", "-i", "--version", "--resolve", "--package", "-p")
+"""With these Hydra does something other than one run and does its own checking."""
+
+
+def main() -> None:
+    """Run ``train.py`` with the process's arguments."""
+    register()
+    try:
+        if not any(argument.split("=")[0] in FLAGS for argument in sys.argv[1:]):
+            _check(sys.argv[1:])
+    except ConfigError as error:
+        sys.exit(f"see2act: {error}")
+    _hydra_main()
+
+
+def _check(overrides: list[str]) -> None:
+    """Compose the configuration as Hydra will, and refuse what cannot run before a folder is made.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    from hydra import compose, initialize_config_module
+
+    with initialize_config_module("see2act.conf", version_base="1.3"):
+        try:
+            cfg = compose("train", overrides, return_hydra_config=True)
+            OmegaConf.resolve(cfg.hydra.run)
+            folder = Path(cfg.hydra.run.dir)
+            plain = compose("train", overrides)
+            validate(plain)
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(_one_line(error)) from None
+    _check_parts(plain)
+    _check_writable(folder)
+    _check_writable(Path(plain.paths.cache))
+
+
+def _one_line(error: Exception) -> str:
+    """Hydra's explanation on one line, its tabs and blank lines folded."""
+    text = " ".join(str(error).split("Set the environment variable")[0].split())
+    if "is not in struct" in text:
+        key = text.split("Could not override '")[1].split("'")[0] if "Could not override" in text else text
+        return f"there is no configuration key '{key}': see `python train.py --cfg job` for all of them"
+    return text.replace("Available options in", "choose from the options of")
+
+
+def _check_parts(cfg: DictConfig) -> None:
+    """Build what is cheap to build, so that wrong parameters of objects, camera or workspace show now."""
+    from hydra.utils import instantiate
+
+    from see2act import build
+    from see2act.robot.types import RobotError
+
+    try:
+        instantiate(cfg.workspace)
+        instantiate(cfg.camera, _convert_="all")
+        instantiate(cfg.objects, _convert_="all")
+        build.policy(cfg)
+    except (RobotError, HydraException) as error:
+        cause = error.__cause__ or error
+        raise ConfigError(" ".join(str(cause).split())) from None
+
+
+def _check_writable(folder: Path) -> None:
+    existing = folder.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        raise ConfigError(f"{folder} cannot be written, since {existing} is no folder you may write to: choose another with hydra.run.dir= or paths.cache=")
+
+
+@hydra.main(version_base="1.3", config_path="pkg://see2act.conf", config_name="train")
+def _hydra_main(cfg: DictConfig) -> float | None:
+    """One job: a run, or in a sweep the notice that a cell makes no sense."""
+    sweep = HydraConfig.get().mode.name == "MULTIRUN"
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    if sweep and (reason := illegal_cell(cfg)):
+        log.info("skipped: %s", reason)
+        return None
+    try:
+        validate(cfg)
+        _check_parts(cfg)
+    except ConfigError as error:
+        if sweep:
+            raise
+        sys.exit(f"see2act: {error}")
+    return run(cfg, folder)
+
+
+def run(cfg: DictConfig, folder: Path) -> float:
+    """One run in ``folder``: skipped if finished, continued if cut short; the final success rate on unseen objects."""
+    import json
+
+    result = folder / "result.json"
+    if result.exists() and cfg.force:
+        aside = folder.with_name(f"{folder.name}.{time.strftime('%Y%m%d-%H%M%S', time.gmtime(result.stat().st_mtime))}")
+        _move_aside(folder, aside)
+        log.info("force=true: the earlier run is now in %s", aside)
+    if result.exists():
+        log.info("this run is finished already; force=true runs it anew: %s", result)
+        return float(json.loads(result.read_text())["eval"]["unseen"]["rate"])
+    # Imported late: torch and lightning take seconds, which --help should not.
+    from see2act.modules.transfer import TransferError
+    from see2act.pipeline import Run
+    from see2act.quiet import quiet
+
+    quiet(cfg.trainer)
+    try:
+        outcome = Run(cfg, folder)()
+    except TransferError as error:
+        sys.exit(f"see2act: {error}")
+    finally:
+        _close_loggers()
+    _report(outcome, folder)
+    return float(outcome["eval"]["unseen"]["rate"])
+
+
+def _move_aside(folder: Path, aside: Path) -> None:
+    aside.mkdir(parents=True)
+    for item in folder.iterdir():
+        item.rename(aside / item.name)
+
+
+def _close_loggers() -> None:
+    if "wandb" in sys.modules and sys.modules["wandb"].run is not None:
+        sys.modules["wandb"].finish(quiet=True)
+
+
+def _report(result: dict[str, Any], folder: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from see2act.evaluation import SPLITS
+    from see2act.statistics import wilson
+
+    choices = result["choices"]
+    table = Table(title=" ".join(str(choices[key]) for key in ("primitive", "task", "transfer")) + f" seed {choices['seed']}")
+    for column in ("success rate", *(f"{split} objects" for split in SPLITS)):
+        table.add_column(column)
+    rows = {"zero-shot": "zero_shot", "after fine-tuning": "eval", "the same, plain argmax": "eval_argmax"}
+    for name, key in rows.items():
+        cells = []
+        for split in SPLITS:
+            counts = result[key][split]["successes"], result[key][split]["attempts"]
+            low, high = wilson(*counts)
+            cells.append(f"{result[key][split]['rate']:.2f}  ({counts[0]}/{counts[1]}, 95 % {low:.2f}-{high:.2f})")
+        table.add_row(name, *cells)
+    console = Console(width=110)
+    console.print(table)
+    console.print(f"minutes: {sum(result['seconds'].values()) / 60:.1f}", highlight=False)
+    for name in ("result.json", "attempts.csv", "transfer.json", "figures", "checkpoints"):
+        console.print(f"  {folder / name}", highlight=False, soft_wrap=True)

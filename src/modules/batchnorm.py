@@ -1,0 +1,48 @@
+"""BatchNorm statistics without labels, and BatchNorm that stays as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor, nn
+
+
+def batchnorms(network: nn.Module) -> dict[str, nn.BatchNorm2d]:
+    """Every BatchNorm by its name in the network."""
+    return {name: m for name, m in network.named_modules() if isinstance(m, nn.BatchNorm2d)}
+
+
+def freeze(network: nn.Module) -> None:
+    """Use the running statistics and leave them alone, whatever mode the rest is in."""
+    for layer in batchnorms(network).values():
+        layer.eval()
+
+
+@torch.no_grad()
+def estimate(network: nn.Module, inputs: Iterable[Tensor], layers: Iterable[str]) -> None:
+    """Set the running statistics of some layers to those of unlabelled inputs.
+
+    A freshly initialised layer has mean 0 and variance 1, which normalises nothing: frozen like that, a network
+    is crippled. Only the named layers change; the others keep what came with their weights.
+
+    Args:
+        network: In any mode; its mode is kept.
+        inputs: Batches of prepared input (B, 4, H, W).
+        layers: Names as in :func:`batchnorms`.
+    """
+    chosen = [batchnorms(network)[name] for name in layers]
+    if not chosen:
+        return
+    training = network.training
+    network.eval()
+    momenta = [layer.momentum for layer in chosen]
+    for layer in chosen:
+        layer.reset_running_stats()
+        layer.momentum = None  # a plain average over the batches
+        layer.train()
+    for x in inputs:
+        network(x)
+    for layer, momentum in zip(chosen, momenta, strict=True):
+        layer.momentum = momentum
+    network.train(training)

@@ -1,0 +1,83 @@
+"""From a vision model to an affordance model: copy parameters by key and say what became of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+from torch import Tensor
+
+from see2act.modules.network import PixelNetwork
+
+PARTS = ("backbone", "head")
+ALWAYS = "normalization"
+"""The statistics of the source's data go wherever its parameters go."""
+SHOWN = 5
+
+
+class TransferError(ValueError):
+    """A source that does not fit; the message names the keys and the mend."""
+
+
+@dataclass
+class TransferReport:
+    """What a transfer did with every key; values are shapes."""
+
+    parts: list[str]
+    copied: dict[str, list[int]] = field(default_factory=dict)
+    left_at_initialisation: dict[str, list[int]] = field(default_factory=dict)
+    unused: dict[str, list[int]] = field(default_factory=dict)
+
+    def summary(self) -> str:
+        """One line for people."""
+        return (
+            f"transfer of {' and '.join(self.parts) or 'nothing'}: {len(self.copied)} keys copied, "
+            f"{len(self.left_at_initialisation)} left at initialisation, {len(self.unused)} in the source but unused"
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        """For ``transfer.json``."""
+        return asdict(self)
+
+
+def copy_parts(source: Mapping[str, Tensor], network: PixelNetwork, parts: Sequence[str]) -> TransferReport:
+    """Copy ``parts`` of a network's state dict into ``network``.
+
+    Args:
+        source: State dict of a :class:`PixelNetwork`; may be empty if there are no ``parts``.
+        network: Changed in place, after every check has passed.
+        parts: Any of ``backbone`` and ``head``.
+
+    Raises:
+        TransferError: A part is missing from the source, or its keys or shapes do not fit.
+    """
+    target = network.state_dict()
+    report = TransferReport(parts=list(parts))
+    if not parts:
+        report.left_at_initialisation = {key: list(value.shape) for key, value in target.items()}
+        return report
+    wanted = {key for key in target if key.split(".")[0] in (*parts, ALWAYS)}
+    for part in parts:
+        _check(source, target, part)
+    for key, value in target.items():
+        if key in wanted:
+            value.copy_(source[key])
+            report.copied[key] = list(value.shape)
+        else:
+            report.left_at_initialisation[key] = list(value.shape)
+    report.unused = {key: list(value.shape) for key, value in source.items() if key not in wanted}
+    return report
+
+
+def _check(source: Mapping[str, Tensor], target: Mapping[str, Tensor], part: str) -> None:
+    theirs = {key: list(value.shape) for key, value in source.items() if key.split(".")[0] in (part, ALWAYS)}
+    ours = {key: list(value.shape) for key, value in target.items() if key.split(".")[0] in (part, ALWAYS)}
+    problems = [f"{key} is missing" for key in ours if key not in theirs]
+    problems += [f"{key} is not in this network" for key in theirs if key not in ours]
+    problems += [f"{key} is {theirs[key]} there and {ours[key]} here" for key in ours if key in theirs and ours[key] != theirs[key]]
+    if problems:
+        more = f" and {len(problems) - SHOWN} more" if len(problems) > SHOWN else ""
+        raise TransferError(
+            f"the source's {part} does not fit this network: {'; '.join(problems[:SHOWN])}{more}: "
+            "use the model (and model.width) that the source was trained with"
+        )

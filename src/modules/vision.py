@@ -1,0 +1,74 @@
+"""Learning to see: one binary label for every pixel."""
+
+from __future__ import annotations
+
+import math
+
+import lightning as L
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from see2act.modules.network import PixelNetwork
+from see2act.modules.rotation import sampling_grid, warp, warp_nearest
+
+Batch = dict[str, Tensor]
+
+
+class VisionModule(L.LightningModule):
+    """A network that learns a vision task from heightmaps and label maps.
+
+    Heightmaps are turned by a random angle, mirrored and shifted, since the affordance model will see turned ones.
+
+    Args:
+        network: The shared architecture.
+        lr: Adam's learning rate at its peak.
+        weight_decay: Adam's.
+        pos_weight: Weight of a positive pixel against a negative one.
+        steps: Optimiser steps in all; the rate falls to zero over them (cosine).
+        seed: Of the augmentation.
+    """
+
+    def __init__(self, network: PixelNetwork, lr: float, weight_decay: float, pos_weight: float, steps: int, seed: int):
+        super().__init__()
+        self.network = network
+        self._lr, self._weight_decay, self._steps = lr, weight_decay, steps
+        self.register_buffer("pos_weight", torch.tensor(pos_weight), persistent=False)
+        self._augment = torch.Generator().manual_seed(seed)
+
+    def forward(self, color: UInt8[Tensor, "B H W 3"], height: Float[Tensor, "B H W"]) -> Float[Tensor, "B 1 H W"]:
+        """Logits of unturned heightmaps."""
+        logits: Tensor = self.network(self.network.prepare(color, height))
+        return logits
+
+    def training_step(self, batch: Batch, _: int) -> Tensor:
+        x = self.network.prepare(batch["color"], batch["height"])
+        x, label = self._turn(x, batch["label"])
+        loss = self.loss(self.network(x), label)
+        self.log("vision/loss", loss, prog_bar=True)
+        return loss
+
+    def validation_step(self, batch: Batch, _: int) -> None:
+        loss = self.loss(self(batch["color"], batch["height"]), batch["label"][:, None].float())
+        self.log("vision/val_loss", loss, prog_bar=True, batch_size=len(batch["label"]))
+
+    def loss(self, logits: Float[Tensor, "B 1 h w"], label: Float[Tensor, "B 1 h w"]) -> Tensor:
+        """Binary cross-entropy over all pixels (paper, section III-B)."""
+        assert isinstance(self.pos_weight, Tensor)
+        return F.binary_cross_entropy_with_logits(logits, label, pos_weight=self.pos_weight)
+
+    def configure_optimizers(self) -> dict[str, object]:
+        optimizer = torch.optim.AdamW(self.network.parameters(), lr=self._lr, weight_decay=self._weight_decay)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self._steps)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def _turn(self, x: Float[Tensor, "B 4 H W"], label: Bool[Tensor, "B H W"]) -> tuple[Tensor, Tensor]:
+        """A random turn, mirror image and shift of inputs and labels; the size stays."""
+        n, shape = len(x), (x.shape[2], x.shape[3])
+        angle = torch.rand(n, generator=self._augment) * 2 * math.pi
+        shift = (torch.rand(n, 2, generator=self._augment) - 0.5) * torch.tensor(shape) * 0.4
+        grid = sampling_grid(angle, shape, shape, shift)
+        mirrored = torch.rand(n, generator=self._augment) < 0.5
+        grid = torch.where(mirrored[:, None, None, None], grid.flip(2), grid)
+        return warp(x, grid), warp_nearest(label[:, None].float(), grid)

@@ -1,0 +1,336 @@
+"""One run, stage by stage: collect, pre-train, transfer, fine-tune, evaluate."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
+
+from see2act import build, figures
+from see2act.attempts_csv import AttemptsCsv
+from see2act.cache import once
+from see2act.config import config_hash, content_hash
+from see2act.datamodules.collect import Collection, collect
+from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
+from see2act.datamodules.replay import Replay
+from see2act.datamodules.vision import VisionDataModule, channel_statistics
+from see2act.evaluation import Protocol, evaluate
+from see2act.files import replacing, write_json
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.batchnorm import batchnorms, estimate
+from see2act.modules.network import PixelNetwork
+from see2act.modules.transfer import TransferReport, copy_parts
+from see2act.modules.vision import VisionModule
+from see2act.policy import Policy
+from see2act.results import Progress, curve, versions
+from see2act.seeding import generator, seed_for
+
+log = logging.getLogger("see2act")
+ESTIMATION_MAPS = 64
+"""Unlabelled heightmaps from which BatchNorm statistics of uncopied layers are estimated."""
+
+
+class Run:
+    """The stages of one run and what they share.
+
+    Args:
+        cfg: A validated configuration.
+        folder: Where everything goes; an unfinished run of the same configuration in it is continued.
+    """
+
+    def __init__(self, cfg: DictConfig, folder: Path):
+        self.cfg, self.folder = cfg, folder
+        self.cache = Path(cfg.paths.cache).absolute()
+        self.checkpoints = folder / "checkpoints"
+        self.checkpoints.mkdir(parents=True, exist_ok=True)
+        self.progress = Progress(folder / "progress.json")
+        self.protocol = Protocol(cfg.evaluate.runs, dict(cfg.evaluate.attempts))
+        self.attempts = cfg.finetune.attempts if cfg.transfer.finetune else 0
+
+    def __call__(self) -> dict[str, Any]:
+        """All stages in order; the contents of ``result.json``."""
+        with self._timed("collect"):
+            collection = self.collect()
+        with self._timed("pretrain"):
+            vision = self.pretrain(collection)
+        with self._timed("transfer"):
+            module, report = self.transfer(collection, vision)
+        log.info(report.summary())
+        before = copy.deepcopy(module)
+        with self._timed("finetune"):
+            self.finetune(module)
+        with self._timed("evaluate_argmax"):
+            self._evaluate_argmax(module)
+        with self._timed("figures"):
+            self.figures(collection, vision, before, module)
+        return self._finish()
+
+    def collect(self) -> Collection:
+        """Observations of random interaction, from the cache or made now."""
+        cfg = self.cfg
+        path = self.cache / "collections" / f"{self._collection_key()}.npz"
+
+        def make() -> None:
+            collect(
+                build.robot_factory(cfg, cfg.collect.primitive),
+                cfg.collect.interactions,
+                cfg.collect.per_scene,
+                cfg.objects.kinds * cfg.objects.copies,
+                cfg.collect.seed,
+                cfg.collect.workers,
+            ).save(path)
+
+        made = once(path, make)
+        log.info("collect: %d observations %s %s", cfg.collect.interactions, "written to" if made else "from", path)
+        return Collection.load(path)
+
+    def pretrain(self, collection: Collection) -> dict[str, Any] | None:
+        """The vision model's checkpoint, from the cache or trained now; None for ``task=none``."""
+        cfg = self.cfg
+        if cfg.task.label is None:
+            return None
+        keys = {"collection": self._collection_key(), **_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
+        path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
+        made = once(path, lambda: self._train_vision(collection, path))
+        log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
+        checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
+        with replacing(self.checkpoints / "vision.ckpt") as partial:
+            torch.save(checkpoint, partial)
+        log.info("pretrain: %.1f %% of the pixels are positive", 100 * checkpoint["positive_share"])
+        return checkpoint
+
+    def transfer(self, collection: Collection, vision: dict[str, Any] | None) -> tuple[AffordanceModule, TransferReport]:
+        """The affordance model before its first attempt."""
+        cfg = self.cfg
+        network = self._network(seed_for("head", cfg.seed))
+        network.normalization.set(*channel_statistics(collection))
+        report = copy_parts(vision["network"] if vision else {}, network, cfg.transfer.parts)
+        write_json(self.folder / "transfer.json", report.as_dict())
+        shape = (collection.arrays["height"].shape[1], collection.arrays["height"].shape[2])
+        module = AffordanceModule(
+            network,
+            shape,
+            cfg.primitive.angles,
+            cfg.finetune.backbone_lr,
+            cfg.finetune.head_lr,
+            cfg.finetune.weight_decay,
+            cfg.finetune.batchnorm,
+        )
+        fresh = [name for name in batchnorms(network) if name.split(".")[0] not in cfg.transfer.parts]
+        estimate(network, self._unlabelled(module, collection), fresh)
+        return module.eval(), report
+
+    def finetune(self, module: AffordanceModule) -> None:
+        """Evaluate before, learn by trial and error, evaluate on the way and after."""
+        cfg = self.cfg
+        last = self.checkpoints / "last.ckpt"
+        resumed = torch.load(last, weights_only=True) if last.exists() else None
+        done = resumed["InteractiveDataModule"]["attempts"] if resumed else 0
+        final = self.progress.get("finetuned")
+        steps = sorted({0, self.attempts, *(step for step in cfg.evaluate.at if step <= self.attempts)})
+        self.progress.drop([f"eval_{step}" for step in steps if step > done and not final])
+        self._attempts = AttemptsCsv(self.folder / "attempts.csv", lambda row: self._keep(row, done))
+        self._evaluate_at(module, 0)
+        if self.attempts and not final:
+            self._fit(module, resumed and last, steps)
+        elif self.attempts:
+            module.load_state_dict(torch.load(self.checkpoints / "affordance.ckpt", weights_only=True)["state_dict"])
+
+    def figures(
+        self, collection: Collection, vision: dict[str, Any] | None, before: AffordanceModule, module: AffordanceModule
+    ) -> None:
+        """Pictures of what was learned, in ``figures/``."""
+        cfg, out = self.cfg, self.folder / "figures"
+        figures.learning_curve(self.folder / "attempts.csv", out / "learning_curve.png", self._title())
+        if cfg.task.label is not None:
+            figures.labels(collection, build.task(cfg), cfg.labels, cfg.task.name, cfg.figures.scenes, out / "labels.png")
+        models = {"before fine-tuning": before, "after fine-tuning": module}
+        if vision:
+            seeing = copy.deepcopy(before)
+            seeing.network.load_state_dict(vision["network"])
+            models = {f"vision model: {cfg.task.name}": seeing, **models}
+        robot = build.robot_factory(cfg, cfg.primitive)()
+        try:
+            figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, self._title(), out)
+        finally:
+            robot.close()
+
+    def _train_vision(self, collection: Collection, path: Path) -> None:
+        cfg, seed = self.cfg, self.cfg.pretrain.seed
+        data = VisionDataModule(
+            collection, build.task(cfg), cfg.labels, cfg.pretrain.batch_size, cfg.pretrain.validation, seed_for("batches", seed)
+        )
+        log.info("pretrain: %s labels %.1f %% of the pixels as positive", cfg.task.name, 100 * data.positive_share)
+        if not 0 < data.positive_share < 1:
+            raise ValueError(f"task={cfg.task.name} labels all pixels alike: check its parameters in conf/task/{cfg.task.name}.yaml")
+        network = self._network(seed_for("vision", seed))
+        network.normalization.set(*channel_statistics(collection))
+        weight = (1 - data.positive_share) / data.positive_share if cfg.task.class_weight == "balanced" else 1.0
+        steps = data.steps_per_epoch * cfg.pretrain.epochs
+        module = VisionModule(network, cfg.pretrain.lr, cfg.pretrain.weight_decay, weight, steps, seed_for("augment", seed))
+        trainer = self._trainer("vision", max_epochs=cfg.pretrain.epochs)
+        trainer.fit(module, data)
+        _refuse_interrupted(trainer)
+        checkpoint = {
+            "network": network.state_dict(),
+            "positive_share": data.positive_share,
+            "val_loss": float(trainer.callback_metrics["vision/val_loss"]),
+        }
+        with replacing(path) as partial:
+            torch.save(checkpoint, partial)
+
+    def _fit(self, module: AffordanceModule, resume: Path | None, steps: list[int]) -> None:
+        cfg = self.cfg
+        robot = build.robot_factory(cfg, cfg.primitive)()
+        try:
+            replay = Replay(**cfg.finetune.replay, rng=generator("replay", cfg.seed))
+            data = InteractiveDataModule(
+                robot,
+                build.policy(cfg),
+                replay,
+                cfg.seed,
+                cfg.finetune.batch_size,
+                cfg.finetune.updates,
+                cfg.finetune.temperature,
+                cfg.finetune.episode_attempts,
+            )
+            loop = TrialAndError(
+                data,
+                self.attempts,
+                self._attempts,
+                self.checkpoints / "last.ckpt",
+                steps,
+                lambda step: self._evaluate_at(module, step),
+                cfg.primitive.name,
+            )
+            trainer = self._trainer(
+                "finetune", max_epochs=self.attempts, callbacks=[loop], enable_progress_bar=False, limit_val_batches=0
+            )
+            trainer.fit(module, datamodule=data, ckpt_path=resume, weights_only=True)
+            _refuse_interrupted(trainer)
+            trainer.save_checkpoint(self.checkpoints / "affordance.ckpt", weights_only=True)
+            trainer.save_checkpoint(self.checkpoints / "last.ckpt")
+        finally:
+            robot.close()
+        self.progress.set("finetuned", True)
+
+    def _evaluate_at(self, module: AffordanceModule, step: int) -> None:
+        policy = build.policy(self.cfg)
+        phase = "zero_shot" if step == 0 else "eval"
+        self._evaluation(f"eval_{step}", module, policy, phase, step)
+
+    def _evaluate_argmax(self, module: AffordanceModule) -> None:
+        policy = build.policy(self.cfg)
+        if policy.suppress:
+            self._evaluation("eval_argmax", module, policy.plain(), "eval", self.attempts)
+        else:
+            self.progress.set("eval_argmax", {**self.progress.get(f"eval_{self.attempts}"), "repeated": True})
+
+    def _evaluation(self, name: str, module: AffordanceModule, policy: Policy, phase: str, step: int) -> None:
+        if self.progress.get(name):
+            return
+        where = {"phase": phase, "step": step, "primitive": self.cfg.primitive.name}
+        robot = build.robot_factory(self.cfg, self.cfg.primitive)()
+        try:
+            result = evaluate(
+                robot,
+                module.affordances,
+                policy,
+                self.protocol,
+                lambda attempt, **more: self._attempts.append(attempt, **where, **more),
+                title=f"evaluate at {step} ({policy.name})",
+            )
+        finally:
+            robot.close()
+        self.progress.set(name, result)
+
+    def _keep(self, row: dict[str, str], done: int) -> bool:
+        """Whether a row of an interrupted run's log belongs to work that is not going to be repeated."""
+        if row["phase"] == "finetune":
+            return bool(self.progress.get("finetuned")) or int(row["step"]) <= done
+        name = f"eval_{row['step']}"
+        if row["policy"] == "argmax" and build.policy(self.cfg).suppress:
+            name = "eval_argmax"
+        return bool(self.progress.get(name))
+
+    def _network(self, seed: int) -> PixelNetwork:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            network: PixelNetwork = instantiate(self.cfg.model.network)
+        return network
+
+    def _unlabelled(self, module: AffordanceModule, collection: Collection) -> Iterator[Tensor]:
+        """The same heightmaps for every arm, turned as the primitive will see them."""
+        chosen = generator("unlabelled", self.cfg.collect.seed)
+        count = min(ESTIMATION_MAPS, len(collection))
+        for start in range(0, count, 8):
+            index = slice(start, min(start + 8, count))
+            color = torch.from_numpy(collection.arrays["color"][index])
+            height = torch.from_numpy(collection.arrays["height"][index])
+            angle = torch.from_numpy(chosen.integers(module.rotations.count, size=len(color)))
+            yield module.rotations.turned(module.network.prepare(color, height), angle)
+
+    def _trainer(self, stage: str, **more: Any) -> L.Trainer:
+        logger: Any = False
+        if self.cfg.logger:
+            name = f"{self._title().replace(' ', '-')}-{stage}"
+            logger = instantiate(self.cfg.logger)(save_dir=str(self.folder), name=name)
+        trainer: L.Trainer = instantiate(self.cfg.trainer)(default_root_dir=str(self.folder), logger=logger, **more)
+        return trainer
+
+    def _collection_key(self) -> str:
+        keys = _plain(self.cfg, "collect", "robot", "workspace", "camera", "objects")
+        keys["collect"].pop("workers")
+        return content_hash(keys)
+
+    def _title(self) -> str:
+        cfg = self.cfg
+        return f"{cfg.primitive.name} {cfg.task.name} {cfg.transfer.name} seed {cfg.seed}"
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        seconds = self.progress.get("seconds") or {}
+        seconds[stage] = round(seconds.get(stage, 0.0) + time.perf_counter() - start, 1)
+        self.progress.set("seconds", seconds)
+
+    def _finish(self) -> dict[str, Any]:
+        cfg, done = self.cfg, self.progress.done
+        steps = sorted(int(name.removeprefix("eval_")) for name in done if name.startswith("eval_") and name != "eval_argmax")
+        final = done[f"eval_{self.attempts}"]
+        result = {
+            "choices": {key: cfg[key].name for key in ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")}
+            | {"labels": cfg.labels, "seed": cfg.seed},
+            "config_hash": config_hash(cfg),
+            "versions": versions(),
+            "seconds": done["seconds"],
+            "zero_shot": done["eval_0"],
+            "eval": final if self.attempts else {**final, "repeated": True},
+            "eval_argmax": done["eval_argmax"],
+            "evals": [{"step": step, **done[f"eval_{step}"]} for step in steps],
+            "curve": curve(self.folder / "attempts.csv"),
+        }
+        write_json(self.folder / "result.json", result)
+        (self.folder / "progress.json").unlink()
+        return result
+
+
+def _refuse_interrupted(trainer: L.Trainer) -> None:
+    # Lightning ends a fit quietly on SIGTERM; what follows must not take it for finished.
+    if trainer.interrupted:
+        raise KeyboardInterrupt
+
+
+def _plain(cfg: DictConfig, *keys: str) -> dict[str, Any]:
+    return {key: OmegaConf.to_container(cfg[key], resolve=True) for key in keys}

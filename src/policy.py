@@ -1,0 +1,124 @@
+"""From affordances to a pick: the same rule for every arm of a comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from see2act.robot.types import Heightmap
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An angle's index and a pixel, with the logit that won."""
+
+    angle: int
+    row: int
+    col: int
+    logit: float
+    explored: bool
+
+    @property
+    def score(self) -> float:
+        """Predicted probability of success."""
+        return float(1 / (1 + np.exp(-self.logit)))
+
+
+@dataclass
+class _Failure:
+    choice: Choice
+    height: np.ndarray
+    """The patch of the heightmap around the pixel, as it was."""
+
+
+@dataclass
+class Policy:
+    """Picks the best pixel; what just failed is left alone while the scene there is unchanged.
+
+    A deterministic argmax repeats a failed pick for ever if the pick changed nothing. With ``suppress`` a small
+    neighbourhood of each failed pick is left out until the heights around it change or something is picked.
+
+    Args:
+        name: ``suppress`` or ``argmax``.
+        suppress: Whether failures are remembered at all.
+        radius: Pixels around a failed pick that are left out.
+        angles: Neighbouring angles (to each side, of the robot's 16) that are left out with it.
+        changed_height: Metres by which a cell must change to count as changed.
+        changed_share: Share of changed cells around the pick that makes the scene there a new one.
+        changed_radius: Pixels around the pick that are compared.
+    """
+
+    name: str
+    suppress: bool
+    radius: int = 4
+    angles: int = 2
+    changed_height: float = 0.008
+    changed_share: float = 0.1
+    changed_radius: int = 12
+    _failures: list[_Failure] = field(default_factory=list)
+
+    def plain(self) -> Policy:
+        """The plain argmax rule, without memory."""
+        return Policy("argmax", suppress=False)
+
+    def fresh(self) -> Policy:
+        """The same rule with an empty memory."""
+        return Policy(
+            self.name, self.suppress, self.radius, self.angles, self.changed_height, self.changed_share, self.changed_radius
+        )
+
+    def choose(
+        self,
+        logits: Float[np.ndarray, "A H W"],
+        heightmap: Heightmap,
+        temperature: float = 0.0,
+        rng: np.random.Generator | None = None,
+    ) -> Choice:
+        """The best allowed pixel, or with a ``temperature`` one drawn from the softmax of logits / temperature."""
+        allowed = self._allowed(logits.shape, heightmap)
+        masked = np.where(allowed, logits, -np.inf)
+        best = int(masked.argmax())
+        index = best
+        if temperature > 0:
+            assert rng is not None, "exploring needs a generator"
+            weights = np.exp((masked.ravel() - masked.ravel()[best]).astype(np.float64) / temperature)
+            cumulative = np.cumsum(weights)
+            index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
+        angle, row, col = (int(i) for i in np.unravel_index(index, logits.shape))
+        return Choice(angle, row, col, float(logits[angle, row, col]), explored=index != best)
+
+    def remember(self, choice: Choice, heightmap: Heightmap, success: bool) -> None:
+        """Take note of an attempt that was decided on ``heightmap``."""
+        if success:
+            self._failures.clear()
+        elif self.suppress:
+            self._failures.append(_Failure(choice, self._patch(heightmap, choice).copy()))
+
+    def forget(self) -> None:
+        """A new scene."""
+        self._failures.clear()
+
+    def _allowed(self, shape: tuple[int, ...], heightmap: Heightmap) -> np.ndarray:
+        self._failures = [f for f in self._failures if not self._changed(f, heightmap)]
+        allowed = np.ones(shape, bool)
+        angles, rows, cols = shape
+        v, u = np.ogrid[:rows, :cols]
+        for failure in self._failures:
+            c = failure.choice
+            near = (v - c.row) ** 2 + (u - c.col) ** 2 <= self.radius**2
+            beside = [(c.angle + k) % angles for k in range(-self.angles, self.angles + 1)]
+            for angle in set(beside):
+                allowed[angle] &= ~near
+        return allowed if allowed.any() else np.ones(shape, bool)
+
+    def _changed(self, failure: _Failure, heightmap: Heightmap) -> bool:
+        difference = np.abs(self._patch(heightmap, failure.choice) - failure.height)
+        return bool((difference > self.changed_height).mean() > self.changed_share)
+
+    def _patch(self, heightmap: Heightmap, choice: Choice) -> np.ndarray:
+        r = self.changed_radius
+        rows = slice(max(0, choice.row - r), choice.row + r + 1)
+        cols = slice(max(0, choice.col - r), choice.col + r + 1)
+        return heightmap.height[rows, cols]

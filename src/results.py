@@ -1,0 +1,50 @@
+"""What a run leaves for other tools: ``result.json`` and the progress it is built from."""
+
+from __future__ import annotations
+
+import json
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from see2act import attempts_csv
+from see2act.files import write_json
+
+BLOCK = 20
+"""Fine-tuning attempts in a point of the learning curve."""
+PACKAGES = ("see2act", "torch", "lightning", "hydra-core", "pybullet", "numpy", "opencv-python-headless")
+
+
+class Progress:
+    """Evaluations done so far, kept in ``progress.json`` so that an interrupted run need not repeat them."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        self.done: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+
+    def get(self, name: str) -> Any:
+        """A finished piece of work, or None."""
+        return self.done.get(name)
+
+    def set(self, name: str, value: Any) -> None:
+        """Keep a finished piece of work."""
+        self.done[name] = value
+        write_json(self._path, self.done)
+
+    def drop(self, names: list[str]) -> None:
+        """Forget work that an interrupted run had done beyond its last checkpoint."""
+        self.done = {name: value for name, value in self.done.items() if name not in names}
+        write_json(self._path, self.done)
+
+
+def versions() -> dict[str, str]:
+    """Of Python and the packages that decide numbers."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+def curve(path: Path) -> list[dict[str, int]]:
+    """Successes of fine-tuning attempts in consecutive blocks; the last one may be shorter."""
+    outcomes = [int(row["success"]) for row in attempts_csv.read(path) if row["phase"] == "finetune"]
+    blocks = [outcomes[i : i + BLOCK] for i in range(0, len(outcomes), BLOCK)]
+    return [{"step": min((i + 1) * BLOCK, len(outcomes)), "successes": sum(b), "attempts": len(b)} for i, b in enumerate(blocks)]
