@@ -15,8 +15,8 @@ from see2act.robot.robot import SimulatedRobot
 
 def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any, end_effector: Any) -> SimulatedRobot:
     """A robot from plain configuration, so that worker processes can build their own."""
-    built: SimulatedRobot = instantiate(
-        robot,
+    # Partial, because Hydra would turn dataclass arguments back into plain configuration.
+    built: SimulatedRobot = instantiate(robot, _partial_=True)(
         workspace=instantiate(workspace),
         camera=instantiate(camera, _convert_="all"),
         objects=instantiate(objects, _convert_="all"),

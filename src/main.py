@@ -124,7 +124,7 @@ def run(cfg: DictConfig, folder: Path) -> float:
     from see2act.pipeline import Run
     from see2act.quiet import quiet
 
-    quiet(cfg.trainer)
+    quiet()
     try:
         outcome = Run(cfg, folder)()
     except TransferError as error:

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from see2act import build, figures
 from see2act.attempts_csv import AttemptsCsv
-from see2act.cache import once
+from see2act.cache import code_hash, once
 from see2act.config import config_hash, content_hash
 from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
@@ -100,6 +100,7 @@ class Run:
         if cfg.task.label is None:
             return None
         keys = {"collection": self._collection_key(), **_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
+        keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py")
         path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
@@ -216,6 +217,7 @@ class Run:
             trainer = self._trainer(
                 "finetune", max_epochs=self.attempts, callbacks=[loop], enable_progress_bar=False, limit_val_batches=0
             )
+            module.train()  # Lightning keeps the mode it finds
             trainer.fit(module, datamodule=data, ckpt_path=resume, weights_only=True)
             _refuse_interrupted(trainer)
             trainer.save_checkpoint(self.checkpoints / "affordance.ckpt", weights_only=True)
@@ -291,6 +293,7 @@ class Run:
     def _collection_key(self) -> str:
         keys = _plain(self.cfg, "collect", "robot", "workspace", "camera", "objects")
         keys["collect"].pop("workers")
+        keys["code"] = code_hash("robot", "datamodules/collect.py")
         return content_hash(keys)
 
     def _title(self) -> str:

@@ -77,8 +77,11 @@ class Camera:
 
     @property
     def intrinsics(self) -> Float[np.ndarray, "3 3"]:
-        """Pinhole matrix, pixels."""
-        return np.array([[self.focal, 0, self.width / 2], [0, self.focal, self.height / 2], [0, 0, 1]])
+        """Pinhole matrix, pixels; a pixel's centre is at its index plus a half.
+
+        TinyRenderer samples at the upper left corner of a pixel counted from below, hence the halves.
+        """
+        return np.array([[self.focal, 0, self.width / 2 + 0.5], [0, self.focal, self.height / 2 - 0.5], [0, 0, 1]])
 
     @property
     def pose(self) -> Float[np.ndarray, "4 4"]:

@@ -144,26 +144,28 @@ def _rgb_object(code: str, scale: float = 1.0) -> list[trimesh.Trimesh]:
     raise RobotError(f"mesh '{code}' is not in the installed package dm-robotics-manipulation: run `make install`")
 
 
-# All sizes in metres at scale 1. Non-convex shapes keep arms of 30 mm, so that the cup (18 mm) has a face at scale 0.8.
+# All sizes in metres at scale 1. Whatever face an object rests on, another one looks up within the cup's tilt: opposite
+# sides are parallel, tapers are mild, and notches shallow, so that no shape leans on its tips with all faces askew. Faces
+# are at least 28 mm wide, 22 mm at scale 0.8, for a cup of 18 mm.
 CATALOGUE: dict[str, Callable[[], list[trimesh.Trimesh]]] = {
     "cube": lambda: [_box(0.045, 0.045, 0.045)],
     "brick": lambda: [_box(0.075, 0.045, 0.03)],
     "can": lambda: [trimesh.creation.cylinder(0.022, 0.065, sections=24)],
     "puck": lambda: [trimesh.creation.cylinder(0.030, 0.030, sections=24)],
-    "ell": lambda: [_box(0.064, 0.03, 0.03), _box(0.03, 0.03, 0.03, (-0.017, 0.03, 0))],
-    "tee": lambda: [_box(0.075, 0.03, 0.03), _box(0.03, 0.03, 0.03, (0, 0.03, 0))],
-    "cross": lambda: [_box(0.076, 0.028, 0.03), _box(0.028, 0.024, 0.03, (0, 0.026, 0)), _box(0.028, 0.024, 0.03, (0, -0.026, 0))],
-    "stairs": lambda: [_box(0.06, 0.045, 0.025), _box(0.03, 0.045, 0.025, (-0.015, 0, 0.025))],
-    "pentagon": lambda: _rgb_object("e2"),
-    "wedge": lambda: _rgb_object("m3", 0.85),
-    "hexagon": lambda: _rgb_object("m23"),
-    "heptagon": lambda: _rgb_object("r25"),
+    "ell": lambda: [_box(0.072, 0.03, 0.032), _box(0.03, 0.013, 0.032, (-0.021, 0.0215, 0))],
+    "tee": lambda: [_box(0.078, 0.03, 0.032), _box(0.024, 0.010, 0.032, (0, 0.02, 0))],
+    "aitch": lambda: [_box(0.02, 0.07, 0.032, (s * 0.0175, 0, 0)) for s in (-1, 1)] + [_box(0.015, 0.04, 0.032)],
+    "stairs": lambda: [_box(0.062, 0.045, 0.026), _box(0.031, 0.045, 0.010, (-0.0155, 0, 0.018))],
+    "hexagon": lambda: _rgb_object("h2"),
+    "leaning": lambda: _rgb_object("m25"),
+    "wedge": lambda: _rgb_object("l3", 0.9),
     "taper": lambda: _rgb_object("x36"),
-    "bar": lambda: _rgb_object("h26", 0.95),
-    "keel": lambda: _rgb_object("l35"),
+    "ramp": lambda: _rgb_object("h38"),
+    "bar": lambda: _rgb_object("m26", 0.9),
+    "keel": lambda: _rgb_object("r56", 0.8),
     "decagon": lambda: _rgb_object("r2"),
     "slant": lambda: _rgb_object("m5", 0.9),
-    "channel": lambda: [_box(0.07, 0.05, 0.024), _box(0.02, 0.05, 0.024, (-0.025, 0, 0.024)), _box(0.02, 0.05, 0.024, (0.025, 0, 0.024))],
-    "zed": lambda: [_box(0.05, 0.03, 0.032), _box(0.05, 0.03, 0.032, (0.03, 0.03, 0))],
+    "channel": lambda: [_box(0.074, 0.05, 0.022)] + [_box(0.02, 0.05, 0.014, (s * 0.027, 0, 0.018)) for s in (-1, 1)],
+    "zed": lambda: [_box(0.06, 0.028, 0.032), _box(0.06, 0.028, 0.032, (0.010, 0.028, 0))],
     "arch": lambda: [_half_round(0.032, 0.06)],
 }

@@ -1,0 +1,142 @@
+"""Real physics of the two tools, one object at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from see2act.robot.gripper import DRIVER, FOLLOWERS, PADS, opening
+from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import Outcome
+
+
+@pytest.fixture(scope="module")
+def gripper(make_robot: Callable[..., SimulatedRobot]) -> SimulatedRobot:
+    return make_robot("primitive=grasp")
+
+
+@pytest.fixture(scope="module")
+def suction(make_robot: Callable[..., SimulatedRobot]) -> SimulatedRobot:
+    return make_robot("primitive=suction")
+
+
+def _place(robot: SimulatedRobot, name: str, at: tuple[float, float, float], scale: float = 1.0, turn: float = 0.0) -> int:
+    """An object alone in the bin, turned about the vertical by ``turn`` radians; its body id."""
+    robot._build()
+    robot._noise = np.random.default_rng(0)
+    robot._scene._add(name, scale, at, np.array([0, 0, np.sin(turn / 2), np.cos(turn / 2)]), (1.0, 0.2, 0.2))
+    assert robot._scene.settle(480)
+    return robot._scene.bodies[0].id
+
+
+def _pick(robot: SimulatedRobot, x: float, y: float, angle: float = 0.0) -> Outcome:
+    heightmap = robot.truth().heightmap
+    row, col = robot.workspace.to_pixel(np.array(x), np.array(y))
+    return robot.execute(robot.workspace.pick(heightmap, int(row), int(col), angle))
+
+
+def test_fingers_follow_the_driver_and_open_as_the_formula_says(gripper: SimulatedRobot) -> None:
+    gripper._build()
+    arm, client = gripper._arm, gripper._simulation.client
+    gripper._tool.engage()
+    gripper._tool.release()
+    arm.wait(40)  # half open, moving
+    driver = client.getJointState(arm.body, arm.joint_index[DRIVER])[0]
+    for name, sign in FOLLOWERS.items():
+        assert client.getJointState(arm.body, arm.joint_index[name])[0] == pytest.approx(sign * driver, abs=0.01)
+    pads = [np.array(client.getLinkState(arm.body, arm.link_index[pad], computeForwardKinematics=1)[4]) for pad in PADS]
+    assert np.linalg.norm(pads[0] - pads[1]) - 0.00635 == pytest.approx(opening(driver), abs=0.002)
+
+
+@pytest.mark.parametrize("k", [0, 5, 11])
+def test_grasp_across_a_turned_brick_holds(gripper: SimulatedRobot, k: int) -> None:
+    """The jaws close across the brick's short side only at the right angle: a wrong sign of rotation fails."""
+    angle = k * np.pi / 16
+    _place(gripper, "brick", (0.05, -0.04, 0.03), scale=1.2, turn=angle + np.pi / 2)
+    outcome = _pick(gripper, 0.05, -0.04, angle)
+    assert (outcome.success, outcome.truth, outcome.cause) == (True, True, "ok")
+    assert outcome.reading == pytest.approx(0.045 * 1.2, abs=0.006)
+    assert gripper.bin_empty()
+
+
+def test_grasp_along_a_long_brick_fails(gripper: SimulatedRobot) -> None:
+    _place(gripper, "brick", (0.0, 0.0, 0.03), scale=1.2, turn=0.0)
+    outcome = _pick(gripper, 0.0, 0.0, 0.0)
+    assert (outcome.success, outcome.truth) == (False, False)
+    assert not gripper.bin_empty()
+
+
+def test_grasp_of_thin_air_is_a_miss(gripper: SimulatedRobot) -> None:
+    _place(gripper, "cube", (-0.08, 0.08, 0.03))
+    outcome = _pick(gripper, 0.08, -0.08, 0.0)
+    assert (outcome.success, outcome.truth, outcome.cause) == (False, False, "missed")
+
+
+def test_jaws_on_the_wall_stop_there(gripper: SimulatedRobot) -> None:
+    _place(gripper, "cube", (-0.08, 0.08, 0.03))
+    outcome = _pick(gripper, 0.14, 0.0, 0.0)
+    assert (outcome.success, outcome.truth, outcome.cause) == (False, False, "wall")
+
+
+def test_suction_on_a_flat_top_holds(suction: SimulatedRobot) -> None:
+    _place(suction, "cube", (0.03, 0.05, 0.03))
+    outcome = _pick(suction, 0.03, 0.05)
+    assert (outcome.success, outcome.truth, outcome.cause) == (True, True, "ok")
+    assert outcome.reading > 50
+    assert suction.bin_empty()
+
+
+def test_no_seal_over_an_edge(suction: SimulatedRobot) -> None:
+    _place(suction, "cube", (0.0, 0.0, 0.03))
+    outcome = _pick(suction, 0.019, 0.0)
+    assert (outcome.success, outcome.truth, outcome.cause) == (False, False, "no_seal")
+
+
+def test_no_seal_on_a_steep_side(suction: SimulatedRobot) -> None:
+    _place(suction, "arch", (0.0, 0.0, 0.03))
+    body = suction._scene.bodies[0].id
+    lying = suction._simulation.client.getQuaternionFromEuler((np.pi / 2, 0, 0))
+    suction._simulation.client.resetBasePositionAndOrientation(body, (0, 0, 0.02), lying)
+    suction._scene.settle(480)
+    outcome = _pick(suction, 0.024, 0.0)
+    assert not outcome.success
+    assert not outcome.truth
+
+
+def test_the_floor_cannot_be_lifted(suction: SimulatedRobot) -> None:
+    _place(suction, "cube", (-0.08, 0.08, 0.03))
+    outcome = _pick(suction, 0.08, -0.08)
+    assert (outcome.success, outcome.truth) == (False, False)
+    assert outcome.cause in ("missed", "slipped")
+
+
+@pytest.mark.parametrize(("kilograms", "held"), [(0.3, True), (4.0, False)])
+def test_the_seal_holds_a_limited_force(suction: SimulatedRobot, kilograms: float, held: bool) -> None:
+    """60 kPa on a cup of 18 mm are 15 N."""
+    body = _place(suction, "cube", (0.0, 0.0, 0.03))
+    suction._simulation.client.changeDynamics(body, -1, mass=kilograms)
+    outcome = _pick(suction, 0.0, 0.0)
+    assert (outcome.success, outcome.truth) == (held, held)
+    assert outcome.cause == ("ok" if held else "slipped")
+
+
+def test_the_seal_holds_a_limited_moment(suction: SimulatedRobot) -> None:
+    """The same weight hangs from its middle and peels off at its end."""
+    outcomes = []
+    for x in (0.0, 0.026):
+        body = _place(suction, "brick", (0.0, 0.0, 0.03))
+        suction._simulation.client.changeDynamics(body, -1, mass=0.6)
+        outcomes.append(_pick(suction, x, 0.0))
+    assert [outcome.success for outcome in outcomes] == [True, False]
+    assert [outcome.truth for outcome in outcomes] == [True, False]
+
+
+def test_the_arm_ends_at_home_and_counts_its_time(suction: SimulatedRobot) -> None:
+    _place(suction, "cube", (0.0, 0.0, 0.03))
+    home = suction._arm.tool_position()
+    outcome = _pick(suction, 0.0, 0.0)
+    assert np.linalg.norm(suction._arm.tool_position() - home) < 1e-3
+    assert 1.0 < outcome.robot_seconds < 6.0
+    assert outcome.steps >= outcome.robot_seconds * 240 - 1

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+from hydra.utils import instantiate
+
+from see2act.robot import objects
+from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape
+from see2act.robot.types import RobotError
+
+
+@pytest.fixture(scope="module")
+def diverse(config: Callable) -> ObjectSet:
+    return instantiate(config().objects, _convert_="all")
+
+
+def _is_box(name: str) -> bool:
+    parts = shape(name).parts
+    return len(parts) == 1 and np.isclose(parts[0].volume, parts[0].bounding_box_oriented.volume, rtol=0.01)
+
+
+def test_the_paper_s_numbers_of_objects(diverse: ObjectSet) -> None:
+    assert (len(diverse.seen), len(diverse.unseen), diverse.kinds, diverse.copies) == (15, 5, 5, 2)
+
+
+def test_diversity(diverse: ObjectSet) -> None:
+    names = (*diverse.seen, *diverse.unseen)
+    packaged = {"hexagon", "leaning", "wedge", "taper", "ramp", "bar", "keel", "decagon", "slant"}
+    assert sum(_is_box(name) for name in names) <= 4
+    assert len(packaged & set(names)) >= 8
+    assert sum(_concavity(name) > 0.05 for name in names) >= 5
+
+
+def _concavity(name: str) -> float:
+    """Share of the convex hull that the shape leaves empty."""
+    points = np.concatenate([part.vertices for part in shape(name).parts])
+    return 1 - shape(name).volume / trimesh.convex.convex_hull(points).volume
+
+
+def test_no_unseen_object_is_a_rescaled_seen_one(diverse: ObjectSet) -> None:
+    def form(name: str) -> np.ndarray:
+        """Principal moments of inertia relative to the largest: the same for a shape at any scale and pose."""
+        moments = np.sort(np.linalg.eigvalsh(trimesh.util.concatenate(shape(name).parts).moment_inertia))
+        return np.append(moments[:2] / moments[2], _concavity(name))
+
+    seen = {name: form(name) for name in diverse.seen}
+    for name in diverse.unseen:
+        for other, known in seen.items():
+            assert np.abs(form(name) - known).max() > 0.05, f"{name} looks like {other}"
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_shape_is_centred_convex_parts_that_fit_the_gripper(name: str) -> None:
+    parts = shape(name).parts
+    centre = sum(p.volume * p.center_mass for p in parts) / shape(name).volume
+    assert np.allclose(centre, 0, atol=1e-9)
+    assert all(part.is_volume and part.is_convex for part in parts)
+    assert shape(name).width * 1.2 <= GRIPPER_OPENING
+    assert shape(name).obj().count("\no ") + 1 == len(parts)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scale": (0.8, 3.0)}, "does not fit the gripper's 80 mm"),
+        ({"scale": (1.2, 0.8)}, r"0 < low <= high, got \[1.2, 0.8\]"),
+        ({"seen": ("cube", "teapot", "can", "ell", "tee")}, "no object is called 'teapot'"),
+        ({"seen": ("cube",)}, "lists 1 objects, a scene needs 5"),
+        ({"unseen": ("cube", "arch", "zed", "slant", "channel")}, r"share \['cube'\]"),
+    ],
+)
+def test_bad_sets_are_refused(changes: dict, message: str) -> None:
+    good = {"seen": ("cube", "brick", "can", "ell", "tee"), "unseen": ("arch", "zed", "slant", "channel", "decagon")}
+    with pytest.raises(RobotError, match=message):
+        ObjectSet("mine", **{**good, **changes})
+
+
+def test_a_shape_without_volume_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    monkeypatch.setitem(objects.CATALOGUE, "sheet", lambda: [flat])
+    with pytest.raises(RobotError, match="'sheet' has a part without volume"):
+        shape("sheet")

@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import multiprocessing
+import time
+from pathlib import Path
+
+import pytest
+
+from see2act.cache import once
+from see2act.files import replacing, write_json
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    write_json(path, {"a": 1})
+    before = path.read_text()
+    with pytest.raises(RuntimeError), replacing(path) as partial:
+        partial.write_text("half of")
+        raise RuntimeError
+    assert path.read_text() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def _make(path: Path) -> None:
+    def slowly() -> None:
+        with replacing(path) as partial:
+            time.sleep(0.5)
+            partial.write_text("made")
+        with (path.parent / "count").open("a") as file:
+            file.write("x")
+
+    once(path, slowly)
+
+
+def test_of_two_processes_one_makes_and_both_have(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    jobs = [context.Process(target=_make, args=(tmp_path / "thing",)) for _ in range(2)]
+    for job in jobs:
+        job.start()
+    for job in jobs:
+        job.join(60)
+    assert [job.exitcode for job in jobs] == [0, 0]
+    assert (tmp_path / "count").read_text() == "x"
+
+
+def test_a_failed_make_is_made_again(tmp_path: Path) -> None:
+    def fail() -> None:
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        once(tmp_path / "thing", fail)
+    assert once(tmp_path / "thing", lambda: write_json(tmp_path / "thing", 1))
