@@ -58,8 +58,8 @@ def _check(overrides: list[str]) -> None:
 def _one_line(error: Exception) -> str:
     """Hydra's explanation on one line, its tabs and blank lines folded."""
     text = " ".join(str(error).split("Set the environment variable")[0].split())
-    if "is not in struct" in text:
-        key = text.split("Could not override '")[1].split("'")[0] if "Could not override" in text else text
+    if "Could not override" in text and "To append to your config" in text:
+        key = text.split("Could not override '")[1].split("'")[0]
         return f"there is no configuration key '{key}': see `python train.py --cfg job` for all of them"
     return text.replace("Available options in", "choose from the options of")
 

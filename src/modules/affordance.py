@@ -45,6 +45,7 @@ class AffordanceModule(L.LightningModule):
         self._frozen = batchnorm == "frozen"
         self.surprise: Tensor | None = None
         """|prediction - label| of the last batch, for the replay's priorities."""
+        self.train()
 
     @torch.no_grad()
     def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:

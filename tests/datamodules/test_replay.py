@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+import torch
+
+from see2act.datamodules.replay import Replay
+
+
+def _filled(n: int, alpha: float = 0.6, beta: float = 0.4) -> Replay:
+    replay = Replay(alpha, beta, 0.01, np.random.default_rng(0))
+    for i in range(n):
+        color = np.full((4, 4, 3), i, np.uint8)
+        replay.add(color, np.full((4, 4), i / 100, np.float32), i % 16, i % 4, 3 - i % 4, i % 2 == 0)
+    return replay
+
+
+def test_a_batch_holds_what_was_added() -> None:
+    batch = _filled(10).sample(8)
+    for i in range(8):
+        k = int(batch["color"][i, 0, 0, 0])
+        assert batch["height"][i, 0, 0].item() == pytest.approx(k / 100)
+        assert (batch["angle"][i], batch["row"][i], batch["col"][i]) == (k, k % 4, 3 - k % 4)
+        assert batch["label"][i] == float(k % 2 == 0)
+    assert batch["color"].dtype == torch.uint8
+    assert batch["label"].dtype == torch.float32
+
+
+def test_the_newest_attempt_is_in_every_batch() -> None:
+    replay = _filled(50)
+    assert all(replay.sample(4)["color"][0, 0, 0, 0] == 49 for _ in range(10))
+
+
+def test_sampling_follows_priorities() -> None:
+    replay = _filled(3, alpha=1.0)
+    replay._drawn = np.array([0, 1, 2])
+    replay.update(np.array([0.79, 0.09, 0.09]))
+    drawn = np.concatenate([replay.sample(100)["color"][1:, 0, 0, 0].numpy() for _ in range(30)])
+    assert np.bincount(drawn, minlength=3) / len(drawn) == pytest.approx([0.8, 0.1, 0.1], abs=0.03)
+
+
+def test_importance_weights_undo_the_bias() -> None:
+    replay = _filled(2, alpha=1.0, beta=1.0)
+    replay._drawn = np.array([0, 1])
+    replay.update(np.array([0.79, 0.19]))
+    batch = replay.sample(64)
+    weight = {int(k): float(w) for k, w in zip(batch["color"][:, 0, 0, 0], batch["weight"], strict=True)}
+    assert weight == pytest.approx({0: 0.25, 1: 1.0})
+
+
+def test_a_new_attempt_gets_the_largest_priority() -> None:
+    replay = _filled(3)
+    replay._drawn = np.array([1])
+    replay.update(np.array([5.0]))
+    replay.add(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0, 0, 0, True)
+    assert replay._items["priority"][-1] == pytest.approx(5.01)
+
+
+def test_save_and_load_continue_the_same_draws() -> None:
+    replay = _filled(20)
+    replay.sample(8)
+    file = io.BytesIO()
+    torch.save(replay.state_dict(), file)
+    file.seek(0)
+    restored = Replay(0.6, 0.4, 0.01, np.random.default_rng(99))
+    restored.load_state_dict(torch.load(file, weights_only=True))
+    for _ in range(3):
+        a, b = replay.sample(8), restored.sample(8)
+        assert all(torch.equal(a[k], b[k]) for k in a)
+        replay.update(np.linspace(0, 1, 8))
+        restored.update(np.linspace(0, 1, 8))

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.batchnorm import batchnorms
+from see2act.modules.fcn7 import FCN7
+
+
+def _module(angles: int, batchnorm: str = "frozen") -> AffordanceModule:
+    torch.manual_seed(0)
+    network = FCN7(4)
+    torch.nn.init.normal_(network.head[-1].weight, std=0.3)
+    for layer in batchnorms(network).values():
+        layer.running_mean.normal_(0, 0.3)
+        layer.running_var.uniform_(0.5, 2)
+    network.normalization.set(torch.full((4,), 0.3), torch.full((4,), 0.5))
+    return AffordanceModule(network, (144, 144), angles, 1e-4, 1e-4, 0.0, batchnorm)
+
+
+def _batch(angles: int, n: int = 6) -> dict[str, torch.Tensor]:
+    g = torch.Generator().manual_seed(1)
+    return {
+        "color": torch.randint(0, 255, (n, 144, 144, 3), dtype=torch.uint8, generator=g),
+        "height": torch.rand(n, 144, 144, generator=g) * 0.1,
+        "angle": torch.randint(0, angles, (n,), generator=g),
+        "row": torch.tensor([0, 143, 70, 30, 90, 5])[:n],
+        "col": torch.tensor([143, 3, 70, 99, 0, 5])[:n],
+        "label": torch.tensor([0.0, 1, 0, 1, 1, 0])[:n],
+        "weight": torch.ones(n),
+    }
+
+
+@pytest.mark.parametrize("angles", [1, 16])
+def test_training_and_acting_see_the_same_logit(angles: int) -> None:
+    """The pixel that the robot executes is the pixel that is trained, at the same angle and in the same frame."""
+    module, batch = _module(angles), _batch(angles)
+    learned = module.executed_logits(batch)
+    for i in range(len(learned)):
+        maps = module.affordances(batch["color"][i].numpy(), batch["height"][i].numpy())
+        acted = maps[batch["angle"][i], batch["row"][i], batch["col"][i]]
+        assert acted == pytest.approx(learned[i].item(), abs=1e-4)
+
+
+@pytest.mark.parametrize("angles", [1, 16])
+def test_window_gives_the_gradient_of_the_whole_heightmap(angles: int) -> None:
+    module, batch = _module(angles), _batch(angles)
+    module.train()
+    module.training_step(batch, 0).backward()
+    window = {k: p.grad.clone() for k, p in module.network.named_parameters()}
+    module.zero_grad()
+    x = module.rotations.turned(module.network.prepare(batch["color"], batch["height"]), batch["angle"])
+    rows, cols = module.rotations.locate(batch["angle"], batch["row"], batch["col"])
+    logits = module.network(x)[torch.arange(6), 0, rows, cols]
+    torch.nn.functional.binary_cross_entropy_with_logits(logits, batch["label"]).backward()
+    for key, parameter in module.network.named_parameters():
+        scale = parameter.grad.abs().max()
+        assert (window[key] - parameter.grad).abs().max() <= 1e-4 * scale, key
+
+
+def test_loss_is_cross_entropy_of_the_executed_pixel_only() -> None:
+    module, batch = _module(1), _batch(1)
+    logits = module.executed_logits(batch)
+    p = torch.sigmoid(logits)
+    expected = -(batch["label"] * p.log() + (1 - batch["label"]) * (1 - p).log()).mean()
+    assert torch.allclose(module.training_step(batch, 0), expected)
+    assert torch.allclose(module.surprise, (p - batch["label"]).abs())
+
+
+def test_acting_changes_nothing() -> None:
+    module = _module(16, "batch")
+    module.train()
+    before = {k: v.clone() for k, v in module.state_dict().items()}
+    maps = module.affordances(np.zeros((144, 144, 3), np.uint8), np.zeros((144, 144), np.float32))
+    assert maps.shape == (16, 144, 144)
+    assert module.training
+    assert all(torch.equal(v, before[k]) for k, v in module.state_dict().items())
+
+
+@pytest.mark.parametrize(("batchnorm", "moves"), [("frozen", False), ("batch", True)])
+def test_batchnorm_modes(batchnorm: str, moves: bool) -> None:
+    module = _module(1, batchnorm)
+    module.train()
+    layer = next(iter(batchnorms(module.network).values()))
+    before = layer.running_mean.clone()
+    module.training_step(_batch(1), 0)
+    assert torch.equal(layer.running_mean, before) is not moves
+
+
+def test_learning_moves_each_tried_pixel_towards_its_outcome() -> None:
+    module, batch = _module(16), _batch(16)
+    optimizer = torch.optim.Adam(module.parameters(), 3e-3)
+    module.train()
+    for _ in range(80):
+        optimizer.zero_grad()
+        module.training_step(batch, 0).backward()
+        optimizer.step()
+    assert torch.equal(module.executed_logits(batch) > 0, batch["label"] > 0.5)
+
+
+def test_backbone_and_head_have_their_own_rates() -> None:
+    module = AffordanceModule(FCN7(4), (144, 144), 1, 1e-5, 1e-3, 0.0, "frozen")
+    groups = module.configure_optimizers().param_groups
+    assert [group["lr"] for group in groups] == [1e-5, 1e-3]
+    assert sum(len(group["params"]) for group in groups) == len(list(module.parameters()))

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from see2act.modules.batchnorm import batchnorms, estimate, freeze
+from see2act.modules.fcn7 import FCN7
+
+
+@pytest.fixture
+def network() -> FCN7:
+    torch.manual_seed(0)
+    return FCN7(8)
+
+
+@pytest.mark.parametrize("shape", [(144, 144), (208, 288), (204, 204)])
+def test_one_logit_a_pixel(network: FCN7, shape: tuple[int, int]) -> None:
+    assert network.eval()(torch.randn(2, 4, *shape)).shape == (2, 1, *shape)
+
+
+def test_backbone_has_seven_convolutions_at_stride_four(network: FCN7) -> None:
+    kernels = [m for m in network.backbone.modules() if isinstance(m, torch.nn.Conv2d) and m.kernel_size == (3, 3)]
+    assert len(kernels) == 7
+    assert network.backbone(torch.randn(1, 4, 144, 144)).shape == (1, 64, 36, 36)
+
+
+def test_width_64_is_the_paper_s() -> None:
+    assert [m.num_features for m in batchnorms(FCN7(64)).values()] == [64, 128, 128, 256, 256, 512, 512, 256, 256, 128, 128, 64, 64]
+
+
+def test_reach_covers_everything_a_logit_depends_on(network: FCN7) -> None:
+    torch.nn.init.normal_(network.head[-1].weight)
+    x = torch.randn(1, 4, 200, 200, requires_grad=True)
+    network.eval()(x)[0, 0, 101, 98].backward()
+    rows, cols = x.grad.abs().sum((0, 1)).nonzero().T
+    far = max((rows - 101).abs().max(), (cols - 98).abs().max()).item()
+    assert network.reach - 8 <= far <= network.reach
+
+
+def test_a_new_head_starts_undecided(network: FCN7) -> None:
+    probability = torch.sigmoid(network.train()(torch.randn(4, 4, 144, 144)))
+    assert (probability - 0.5).abs().max() < 0.2
+
+
+def test_golden_output() -> None:
+    """Changes of the architecture or of its initialisation change published numbers: then change this one too."""
+    torch.manual_seed(0)
+    network = FCN7(4).eval()
+    x = torch.linspace(-1, 1, 4 * 16 * 16).reshape(1, 4, 16, 16)
+    assert network(x).mean().item() == pytest.approx(GOLDEN, rel=1e-4)
+
+
+GOLDEN = 0.00624466
+
+
+def test_prepared_input_is_normalised(network: FCN7) -> None:
+    network.normalization.set(torch.tensor([0.2, 0.4, 0.6, 0.01]), torch.tensor([0.1, 0.2, 0.3, 0.02]))
+    color = torch.tensor([51, 102, 153], dtype=torch.uint8).expand(1, 8, 8, 3)
+    x = network.prepare(color, torch.full((1, 8, 8), 0.03))
+    assert torch.allclose(x[0, :, 0, 0], torch.tensor([0, 0, 0, 1.0]), atol=1e-6)
+
+
+def test_estimated_statistics_are_those_of_the_inputs(network: FCN7) -> None:
+    inputs = [torch.randn(4, 4, 32, 32) * 3 + 1 for _ in range(5)]
+    first = next(iter(batchnorms(network)))
+    others = {n: m.running_var.clone() for n, m in batchnorms(network).items() if n != first}
+    network.eval()
+    estimate(network, inputs, [first])
+    layer = batchnorms(network)[first]
+    seen = torch.cat([network.backbone[0](x) for x in inputs])
+    assert torch.allclose(layer.running_mean, seen.mean((0, 2, 3)), atol=1e-4)
+    assert torch.allclose(layer.running_var, seen.var((0, 2, 3)), rtol=2e-2)
+    assert all(torch.equal(batchnorms(network)[n].running_var, v) for n, v in others.items())
+    assert not network.training
+    assert layer.momentum == 0.1
+
+
+def test_frozen_batchnorm_stays(network: FCN7) -> None:
+    network.train()
+    freeze(network)
+    before = {n: m.running_mean.clone() for n, m in batchnorms(network).items()}
+    network(torch.randn(4, 4, 32, 32))
+    assert all(torch.equal(m.running_mean, before[n]) for n, m in batchnorms(network).items())
+    assert network.training

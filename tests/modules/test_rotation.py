@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from see2act.modules.rotation import Rotations, sampling_grid, warp_nearest
+
+GRASP = Rotations((144, 144), 16, 4)
+
+
+def _bar(angle: float) -> torch.Tensor:
+    """Input whose height channel holds a thin bar at ``angle``, counter-clockwise seen from above."""
+    x = torch.zeros(1, 4, 144, 144)
+    for t in torch.linspace(-45, 45, 400):
+        # Rows grow towards -y.
+        x[0, 3, round(float(71.5 - t * math.sin(angle))), round(float(71.5 + t * math.cos(angle)))] = 1
+    return x
+
+
+@pytest.mark.parametrize("k", range(16))
+def test_the_turn_makes_its_own_angle_horizontal(k: int) -> None:
+    turned = GRASP.all(_bar(k * math.pi / 16))[:, 3]
+    rows = [(image.sum(1) > 0).sum().item() for image in turned]
+    assert min(rows) == rows[k]
+    assert rows[k] <= 3
+    assert all(rows[j] > 10 for j in range(16) if j != k)
+
+
+def test_no_part_of_the_bin_is_cut_off() -> None:
+    assert min(GRASP.canvas) >= math.hypot(144, 144)
+    for corner in ((0, 0), (0, 143), (143, 0), (143, 143)):
+        x = torch.zeros(1, 4, 144, 144)
+        x[0, 3, max(0, corner[0] - 2) : corner[0] + 3, max(0, corner[1] - 2) : corner[1] + 3] = 1
+        assert (GRASP.all(x)[:, 3].flatten(1).sum(1) >= 5).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 15), st.integers(2, 141), st.integers(2, 141))
+def test_rotate_and_back(k: int, row: int, col: int) -> None:
+    x = torch.zeros(1, 4, 144, 144)
+    x[0, 3, row - 1 : row + 2, col - 1 : col + 2] = 1
+    turned = GRASP.all(x)
+    back = GRASP.back(turned[:, 3:])
+    assert back[k, row, col] == 1
+    i, j = GRASP.locate(torch.tensor([k]), torch.tensor([row]), torch.tensor([col]))
+    assert turned[k, 3, i, j] == 1
+
+
+def test_a_single_angle_changes_nothing() -> None:
+    suction = Rotations((144, 144), 1, 4)
+    x = torch.randn(1, 4, 144, 144)
+    assert torch.allclose(suction.all(x), x, atol=1e-3)  # bilinear weights are 1 but for rounding
+    maps = torch.randn(1, 1, 144, 144)
+    assert torch.equal(suction.back(maps)[0], maps[0, 0])
+
+
+def test_resampling_agrees_with_an_exact_quarter_turn() -> None:
+    x = torch.randn(1, 1, 32, 32)
+    grid = sampling_grid(torch.tensor([math.pi / 2]), (32, 32), (32, 32))
+    # What points along +y (up) must become horizontal (to the right): a clockwise quarter turn of the image.
+    assert torch.equal(warp_nearest(x, grid), torch.rot90(x, -1, (2, 3)))
+
+
+def test_windows_stay_on_the_canvas_and_hold_their_pixel() -> None:
+    x = torch.randn(4, 4, 144, 144)
+    angle, row, col = torch.tensor([0, 5, 8, 15]), torch.tensor([0, 143, 70, 3]), torch.tensor([143, 0, 70, 99])
+    windows, i, j = GRASP.window(x, angle, row, col, 48)
+    turned = GRASP.turned(x, angle)
+    rows, cols = GRASP.locate(angle, row, col)
+    n = torch.arange(4)
+    assert windows.shape[2:] == (100, 100)
+    assert torch.equal(windows[n, :, i, j], turned[n, :, rows, cols])
+    assert ((rows - i) % 4 == 0).all()
+    assert ((cols - j) % 4 == 0).all()

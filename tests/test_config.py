@@ -1,0 +1,98 @@
+"""Bad input gets one line that names the mend, before any work is done."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from see2act.config import ConfigError, config_hash, illegal_cell, validate
+from see2act.main import _check
+
+TRAIN = Path(__file__).parents[1] / "train.py"
+TASKS = ("none", "edge", "corner", "center", "foreground", "normal")
+
+
+@pytest.mark.parametrize("primitive", ["suction", "grasp"])
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("transfer", ["none", "backbone", "full", "fixed"])
+def test_exactly_the_sensible_cells_are_legal(config: Callable, task: str, transfer: str, primitive: str) -> None:
+    cfg = config(f"task={task}", f"transfer={transfer}", f"primitive={primitive}")
+    legal = (task == "none") == (transfer == "none")
+    assert (illegal_cell(cfg) is None) is legal
+    if legal:
+        validate(cfg)
+    else:
+        with pytest.raises(ConfigError, match="use "):
+            validate(cfg)
+
+
+def test_design_numbers_are_the_defaults(config: Callable) -> None:
+    for primitive, attempts, angles, at in (("suction", 60, 1, [0, 60, 150, 300]), ("grasp", 150, 16, [0, 150, 350, 400])):
+        cfg = config(f"primitive={primitive}")
+        assert (cfg.finetune.attempts, cfg.primitive.angles, list(cfg.evaluate.at)) == (attempts, angles, at)
+        assert (cfg.collect.interactions, cfg.evaluate.attempts) == (300, {"seen": 25, "unseen": 15})
+        assert (cfg.task.name, cfg.transfer.name, cfg.model.name, cfg.policy.name) == ("edge", "full", "fcn7", "suppress")
+
+
+def test_hash_is_of_what_changes_results(config: Callable) -> None:
+    base = config_hash(config())
+    assert len(base) == 12
+    for same in ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true"):
+        assert config_hash(config(same)) == base
+    for other in ("task=corner", "model.network.width=8", "finetune.updates=5", "policy=argmax", "collect.interactions=301"):
+        assert config_hash(config(other)) != base
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("task=edges", ["edges", "corner", "foreground"]),
+        ("primitive=push", ["push", "grasp", "suction"]),
+        ("transfer=head", ["head", "backbone", "full"]),
+        ("widht=3", ["widht", "--cfg job"]),
+        ("finetune.attemps=3", ["finetune.attemps", "--cfg job"]),
+        ("model.network.widht=3", ["model.network.widht"]),
+        ("finetune.attempts=-1", ["finetune.attempts=-1", "at least 0"]),
+        ("finetune.attempts=many", ["many", "finetune.attempts"]),
+        ("task=none", ["transfer=none"]),
+        ("transfer=none", ["task=none"]),
+        ("labels=guess", ["labels=guess", "truth, vision"]),
+        ("finetune.batchnorm=off", ["frozen, batch"]),
+        ("collect.interactions=5", ["collect.interactions=5", "batch_size"]),
+        ("objects.scale=[1.0,4.0]", ["does not fit the gripper"]),
+        ("workspace.pixel=0", ["must be positive"]),
+        ("evaluate.runs=0", ["evaluate.runs=0"]),
+    ],
+)
+def test_refusals_name_the_mend_in_one_line(override: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError) as error:
+        _check([override])
+    text = str(error.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text, text
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot be written.*hydra.run.dir="):
+        _check([f"hydra.run.dir={tmp_path}/file/run"])
+
+
+def test_a_refusal_ends_the_program_without_work(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, TRAIN, "task=edges"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    assert done.stderr.strip().count("\n") == 0
+    assert "choose from" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_does_not_wait_for_torch() -> None:
+    code = "import sys, see2act.main; sys.exit('torch' in sys.modules or 'lightning' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0

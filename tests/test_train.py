@@ -1,0 +1,127 @@
+"""Whole jobs, tiny ones: everything is real but the numbers."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+TRAIN = Path(__file__).parents[1] / "train.py"
+TINY = (
+    *("collect.interactions=10", "pretrain.epochs=1", "pretrain.batch_size=4", "finetune.updates=2", "finetune.batch_size=4"),
+    *("evaluate.attempts.seen=2", "evaluate.attempts.unseen=2", "figures.scenes=1", "model.network.width=4"),
+)
+PICTURES = {"learning_curve.png", "labels.png", "heatmaps.png", "picks.png"}
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+def _command(folder: Path, cache: Path, *overrides: str) -> list[str]:
+    return [sys.executable, str(TRAIN), *TINY, f"hydra.run.dir={folder}", f"paths.cache={cache}", *overrides]
+
+
+def _train(folder: Path, cache: Path, *overrides: str) -> str:
+    done = subprocess.run(_command(folder, cache, *overrides), capture_output=True, text=True, timeout=500, cwd=folder.parent)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+def _rows(folder: Path) -> list[dict[str, str]]:
+    """Rows of attempts.csv, times aside."""
+    with (folder / "attempts.csv").open() as file:
+        return [{k: v for k, v in row.items() if not k.startswith("t_")} for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Path, str]:
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    out = _train(folder, cache, "logger=wandb", "task=foreground", "primitive=grasp", "finetune.attempts=6", "finetune.episode_attempts=3")
+    return folder, out
+
+
+def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
+    folder, out = run
+    result = json.loads((folder / "result.json").read_text())
+    assert result["choices"]["task"] == "foreground"
+    assert set(result["seconds"]) >= {"collect", "pretrain", "transfer", "finetune"}
+    for name in ("zero_shot", "eval", "eval_argmax"):
+        for split in ("seen", "unseen"):
+            part = result[name][split]
+            assert part["attempts"] == 2
+            assert part["rate"] == part["successes"] / part["attempts"]
+            assert [set(r) for r in part["runs"]] == [{"scene_seed", "successes", "attempts"}]
+    assert [e["step"] for e in result["evals"]] == [0, 6]
+    assert result["evals"][0]["seen"] == result["zero_shot"]["seen"]
+    assert [(c["step"], c["attempts"]) for c in result["curve"]] == [(6, 6)]
+    rows = _rows(folder)
+    assert [r["step"] for r in rows if r["phase"] == "finetune"] == list("123456")
+    assert {r["episode"] for r in rows if r["phase"] == "finetune"} == {"0", "1"}
+    assert [r["phase"] for r in rows].count("zero_shot") == 4
+    assert {(r["phase"], r["policy"]) for r in rows} == {
+        *{("zero_shot", "suppress"), ("finetune", "suppress"), ("eval", "suppress"), ("eval", "argmax")}
+    }
+    assert PICTURES <= {p.name for p in (folder / "figures").iterdir()}
+    assert {p.name for p in (folder / "checkpoints").iterdir()} == {"vision.ckpt", "affordance.ckpt", "last.ckpt"}
+    assert (folder / ".hydra" / "config.yaml").exists()
+    report = json.loads((folder / "transfer.json").read_text())
+    assert report["parts"] == ["backbone", "head"]
+    assert not report["left_at_initialisation"]
+    assert str(folder / "result.json") in out
+    assert list((folder / "wandb").glob("offline-run-*"))
+
+
+def test_a_finished_run_is_not_repeated(run: tuple[Path, str], cache: Path) -> None:
+    folder, _ = run
+    before = (folder / "result.json").stat().st_mtime_ns
+    out = _train(folder, cache, "logger=none", "task=foreground", "primitive=grasp")
+    assert "finished already" in out
+    assert (folder / "result.json").stat().st_mtime_ns == before
+
+
+def test_same_seed_same_attempts_and_a_killed_run_continues(tmp_path: Path, cache: Path) -> None:
+    overrides = ("logger=none", "task=normal", "seed=1", "finetune.attempts=8", "finetune.episode_attempts=2")
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    _train(whole, cache, *overrides)
+    process = subprocess.Popen(_command(killed, cache, *overrides), cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 300
+    while sum(r["phase"] == "finetune" for r in _rows(killed)) < 5 if (killed / "attempts.csv").exists() else True:
+        assert process.poll() is None, "the run ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (killed / "result.json").exists()
+    _train(killed, cache, *overrides)
+    assert _rows(killed) == _rows(whole)
+    assert json.loads((killed / "result.json").read_text())["evals"] == json.loads((whole / "result.json").read_text())["evals"]
+
+
+def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
+    _train(tmp_path / "none", cache, "logger=csv", "task=none", "transfer=none", "finetune.attempts=2")
+    assert not json.loads((tmp_path / "none" / "transfer.json").read_text())["copied"]
+    assert not (tmp_path / "none" / "checkpoints" / "vision.ckpt").exists()
+    _train(tmp_path / "fixed", cache, "logger=none", "task=normal", "transfer=fixed")
+    result = json.loads((tmp_path / "fixed" / "result.json").read_text())
+    assert result["eval"]["repeated"] is True
+    assert result["eval"]["seen"] == result["zero_shot"]["seen"]
+    assert [e["step"] for e in result["evals"]] == [0]
+    assert result["curve"] == []
+
+
+def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> None:
+    command = [sys.executable, str(TRAIN), "-m", *TINY, "logger=none", f"paths.cache={cache}", "task=none,normal", "transfer=none,fixed"]
+    done = subprocess.run([*command, "finetune.attempts=0", f"hydra.sweep.dir={tmp_path}/sweep"], capture_output=True, text=True, timeout=500, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert len(list(tmp_path.glob("sweep/**/result.json"))) == 2
+    assert done.stdout.count("skipped: ") == 2
