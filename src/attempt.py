@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-
 from see2act.policy import Choice, Policy
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick

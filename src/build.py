@@ -7,7 +7,6 @@ from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-
 from see2act.datamodules.labels import Task
 from see2act.policy import Policy
 from see2act.robot.robot import SimulatedRobot

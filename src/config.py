@@ -152,10 +152,12 @@ def register() -> None:
 
 def config_hash(cfg: DictConfig) -> str:
     """Hash of everything that can change a result but the seed: the runs that differ by seed alone share it."""
-    parts = {str(key): cfg._get_node(key) for key in cfg if key not in LOCAL}
-    plain = {key: OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else cfg[key] for key, node in parts.items()}
-    plain["collect"].pop("workers", None)
-    return content_hash(plain)
+    resolved: dict[str, Any] = {}
+    for key in (str(key) for key in cfg if key not in LOCAL):
+        value = cfg[key]
+        resolved[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+    resolved["collect"].pop("workers")
+    return content_hash(resolved)
 
 
 def content_hash(data: object) -> str:
@@ -169,7 +171,9 @@ def illegal_cell(cfg: DictConfig) -> str | None:
     if task == "none" and transfer != "none":
         return f"task=none has nothing to transfer, so transfer={transfer} is impossible: use transfer=none, or choose a task"
     if transfer == "none" and task != "none":
-        return f"transfer=none ignores task={task}: use task=none transfer=none for the baseline, or transfer=backbone|full|fixed"
+        return (
+            f"transfer=none ignores task={task}: use task=none transfer=none for the baseline, or transfer=backbone|full|fixed"
+        )
     missing = [part for part in cfg.transfer.parts if part not in cfg.task.parts]
     if missing:
         return f"task={task} has no {' or '.join(missing)}, so transfer={transfer} is impossible: use transfer=backbone"

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from tqdm import tqdm
-
 from see2act.attempt import Affordances, Attempt, attempt
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
 from see2act.robot.types import Split
 from see2act.seeding import seed_for
+from tqdm import tqdm
 
 SPLITS: tuple[Split, ...] = ("seen", "unseen")
 
@@ -64,7 +63,13 @@ def evaluate(
 
 
 def _split(
-    robot: Robot, affordances: Affordances, policy: Policy, protocol: Protocol, split: Split, record: Callable[..., None], bar: tqdm
+    robot: Robot,
+    affordances: Affordances,
+    policy: Policy,
+    protocol: Protocol,
+    split: Split,
+    record: Callable[..., None],
+    bar: tqdm,
 ) -> dict[str, Any]:
     runs, truths = [], 0
     for run in range(protocol.runs):

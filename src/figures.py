@@ -9,21 +9,20 @@ from typing import TYPE_CHECKING
 import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from matplotlib.axes import Axes  # noqa: E402
-
-from see2act import attempts_csv  # noqa: E402
-from see2act.attempt import attempt  # noqa: E402
-from see2act.datamodules.collect import Collection  # noqa: E402
-from see2act.datamodules.labels import Means, Task  # noqa: E402
-from see2act.evaluation import SPLITS, scene_seed  # noqa: E402
-from see2act.files import replacing  # noqa: E402
-from see2act.policy import Policy  # noqa: E402
-from see2act.results import BLOCK, curve  # noqa: E402
-from see2act.robot.robot import Robot  # noqa: E402
-from see2act.robot.types import Heightmap, Pick  # noqa: E402
-from see2act.statistics import wilson  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from see2act import attempts_csv
+from see2act.attempt import attempt
+from see2act.datamodules.collect import Collection
+from see2act.datamodules.labels import Means, Task
+from see2act.evaluation import SPLITS, scene_seed
+from see2act.files import replacing
+from see2act.policy import Policy
+from see2act.results import BLOCK, curve
+from see2act.robot.robot import Robot
+from see2act.robot.types import Heightmap, Pick
+from see2act.statistics import wilson
 
 if TYPE_CHECKING:
     from see2act.modules.affordance import AffordanceModule
@@ -77,9 +76,7 @@ def labels(collection: Collection, task: Task, means: Means, name: str, count: i
     _save(figure, path)
 
 
-def heatmaps(
-    robot: Robot, models: dict[str, AffordanceModule], policy: Policy, scenes: int, title: str, folder: Path
-) -> None:
+def heatmaps(robot: Robot, models: dict[str, AffordanceModule], policy: Policy, scenes: int, title: str, folder: Path) -> None:
     """Evaluation scenes through several models, and the last model's pick carried out.
 
     Writes ``heatmaps.png`` and ``picks.png``.

@@ -12,13 +12,27 @@ from typing import Any
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-
 from see2act.config import ConfigError, illegal_cell, register, validate
 
 log = logging.getLogger("see2act")
-FLAGS = ("-m", "--multirun", "--help", "-h", "--hydra-help", "--cfg", "-c", "--info", "-i", "--version", "--resolve", "--package", "-p")
+FLAGS = (
+    "-m",
+    "--multirun",
+    "--help",
+    "-h",
+    "--hydra-help",
+    "--cfg",
+    "-c",
+    "--info",
+    "-i",
+    "--version",
+    "--resolve",
+    "--package",
+    "-p",
+)
 """With these Hydra does something other than one run and does its own checking."""
 
 
@@ -67,7 +81,6 @@ def _one_line(error: Exception) -> str:
 def _check_parts(cfg: DictConfig) -> None:
     """Build what is cheap to build, so that wrong parameters of objects, camera or workspace show now."""
     from hydra.utils import instantiate
-
     from see2act import build
     from see2act.robot.types import RobotError
 
@@ -86,13 +99,16 @@ def _check_writable(folder: Path) -> None:
     while not existing.exists():
         existing = existing.parent
     if not existing.is_dir() or not os.access(existing, os.W_OK):
-        raise ConfigError(f"{folder} cannot be written, since {existing} is no folder you may write to: choose another with hydra.run.dir= or paths.cache=")
+        raise ConfigError(
+            f"{folder} cannot be written, since {existing} is no folder you may write to: "
+            "choose another with hydra.run.dir= or paths.cache="
+        )
 
 
 @hydra.main(version_base="1.3", config_path="pkg://see2act.conf", config_name="train")
 def _hydra_main(cfg: DictConfig) -> float | None:
     """One job: a run, or in a sweep the notice that a cell makes no sense."""
-    sweep = HydraConfig.get().mode.name == "MULTIRUN"
+    sweep = HydraConfig.get().mode == RunMode.MULTIRUN
     folder = Path(HydraConfig.get().runtime.output_dir)
     if sweep and (reason := illegal_cell(cfg)):
         log.info("skipped: %s", reason)
@@ -149,7 +165,6 @@ def _close_loggers() -> None:
 def _report(result: dict[str, Any], folder: Path) -> None:
     from rich.console import Console
     from rich.table import Table
-
     from see2act.evaluation import SPLITS
     from see2act.statistics import wilson
 

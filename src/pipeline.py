@@ -14,8 +14,6 @@ import lightning as L
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from torch import Tensor
-
 from see2act import build, figures
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, once
@@ -34,6 +32,7 @@ from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, curve, versions
 from see2act.seeding import generator, seed_for
+from torch import Tensor
 
 log = logging.getLogger("see2act")
 ESTIMATION_MAPS = 64
@@ -173,7 +172,9 @@ class Run:
         )
         log.info("pretrain: %s labels %.1f %% of the pixels as positive", cfg.task.name, 100 * data.positive_share)
         if not 0 < data.positive_share < 1:
-            raise ValueError(f"task={cfg.task.name} labels all pixels alike: check its parameters in conf/task/{cfg.task.name}.yaml")
+            raise ValueError(
+                f"task={cfg.task.name} labels all pixels alike: check its parameters in conf/task/{cfg.task.name}.yaml"
+            )
         network = self._network(seed_for("vision", seed))
         network.normalization.set(*channel_statistics(collection))
         weight = (1 - data.positive_share) / data.positive_share if cfg.task.class_weight == "balanced" else 1.0
@@ -313,7 +314,10 @@ class Run:
         steps = sorted(int(name.removeprefix("eval_")) for name in done if name.startswith("eval_") and name != "eval_argmax")
         final = done[f"eval_{self.attempts}"]
         result = {
-            "choices": {key: cfg[key].name for key in ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")}
+            "choices": {
+                key: cfg[key].name
+                for key in ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
+            }
             | {"labels": cfg.labels, "seed": cfg.seed},
             "config_hash": config_hash(cfg),
             "versions": versions(),

@@ -47,4 +47,6 @@ def curve(path: Path) -> list[dict[str, int]]:
     """Successes of fine-tuning attempts in consecutive blocks; the last one may be shorter."""
     outcomes = [int(row["success"]) for row in attempts_csv.read(path) if row["phase"] == "finetune"]
     blocks = [outcomes[i : i + BLOCK] for i in range(0, len(outcomes), BLOCK)]
-    return [{"step": min((i + 1) * BLOCK, len(outcomes)), "successes": sum(b), "attempts": len(b)} for i, b in enumerate(blocks)]
+    return [
+        {"step": min((i + 1) * BLOCK, len(outcomes)), "successes": sum(b), "attempts": len(b)} for i, b in enumerate(blocks)
+    ]

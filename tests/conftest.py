@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
-
 from see2act import build
 from see2act.config import register
 from see2act.robot.robot import SimulatedRobot

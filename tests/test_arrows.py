@@ -24,4 +24,6 @@ def test_room_imports_nothing_it_must_not_know(room: str) -> None:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             for name in names:
-                assert not any(name == banned or name.startswith(f"{banned}.") for banned in BANNED[room]), f"{file} imports {name}"
+                assert not any(name == banned or name.startswith(f"{banned}.") for banned in BANNED[room]), (
+                    f"{file} imports {name}"
+                )

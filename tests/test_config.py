@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
 from see2act.config import ConfigError, config_hash, illegal_cell, validate
 from see2act.main import _check
 
@@ -68,7 +67,9 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("evaluate.runs=0", ["evaluate.runs=0"]),
     ],
 )
-def test_refusals_name_the_mend_in_one_line(override: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refusals_name_the_mend_in_one_line(
+    override: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError) as error:
         _check([override])
@@ -81,7 +82,7 @@ def test_refusals_name_the_mend_in_one_line(override: str, words: list[str], tmp
 
 def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="cannot be written.*hydra.run.dir="):
+    with pytest.raises(ConfigError, match=r"cannot be written.*hydra\.run\.dir="):
         _check([f"hydra.run.dir={tmp_path}/file/run"])
 
 

@@ -5,7 +5,6 @@ import time
 from pathlib import Path
 
 import pytest
-
 from see2act.cache import once
 from see2act.files import replacing, write_json
 
@@ -14,9 +13,14 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     write_json(path, {"a": 1})
     before = path.read_text()
-    with pytest.raises(RuntimeError), replacing(path) as partial:
-        partial.write_text("half of")
-        raise RuntimeError
+
+    def fail_half_way() -> None:
+        with replacing(path) as partial:
+            partial.write_text("half of")
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        fail_half_way()
     assert path.read_text() == before
     assert list(tmp_path.iterdir()) == [path]
 

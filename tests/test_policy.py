@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from see2act.policy import Policy
 from see2act.robot.types import Heightmap
 

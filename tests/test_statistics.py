@@ -1,6 +1,5 @@
 import pytest
 from scipy.stats import binomtest
-
 from see2act.statistics import wilson
 
 

@@ -10,13 +10,12 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
-
 from see2act.datamodules.labels import View
 from see2act.files import replacing
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Heightmap
 from see2act.seeding import generator, seed_for
+from tqdm import tqdm
 
 RobotFactory = Callable[[], SimulatedRobot]
 ARRAYS = ("color", "height", "valid", "clean_color", "clean_height", "clean_valid", "body")
@@ -46,7 +45,7 @@ class Collection:
         """Write atomically."""
         empty = {f"background_{k}": getattr(self.background, k) for k in ("color", "height", "valid")}
         with replacing(path) as partial, partial.open("wb") as file:
-            np.savez_compressed(file, **self.arrays, **empty)
+            np.savez_compressed(file, allow_pickle=False, **self.arrays, **empty)
 
     @classmethod
     def load(cls, path: Path) -> Collection:
@@ -57,7 +56,9 @@ class Collection:
         return cls(arrays, background)
 
 
-def collect(make_robot: RobotFactory, interactions: int, per_scene: int, most_objects: int, seed: int, workers: int) -> Collection:
+def collect(
+    make_robot: RobotFactory, interactions: int, per_scene: int, most_objects: int, seed: int, workers: int
+) -> Collection:
     """Observations made between random picks on seen objects.
 
     Scenes hold a random number of objects, from one to all, so that emptied bins are seen too. The outcome does
@@ -72,13 +73,15 @@ def collect(make_robot: RobotFactory, interactions: int, per_scene: int, most_ob
         workers: Processes.
     """
     scenes = math.ceil(interactions / per_scene)
-    jobs = [(make_robot, seed, scene, min(per_scene, interactions - scene * per_scene), most_objects) for scene in range(scenes)]
+    jobs = [
+        (make_robot, seed, scene, min(per_scene, interactions - scene * per_scene), most_objects) for scene in range(scenes)
+    ]
     parts = []
-    with tqdm(total=interactions, desc="collect", disable=None) as bar:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            for part in pool.map(_scene, *zip(*jobs, strict=True)):
-                parts.append(part)
-                bar.update(len(part.arrays["color"]))
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    with pool, tqdm(total=interactions, desc="collect", disable=None) as bar:
+        for part in pool.map(_scene, *zip(*jobs, strict=True)):
+            parts.append(part)
+            bar.update(len(part))
     arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in ARRAYS}
     return Collection(arrays, parts[0].background)
 

@@ -9,15 +9,14 @@ from typing import Any
 
 import lightning as L
 import numpy as np
-from torch import Tensor
-from tqdm import tqdm
-
 from see2act.attempt import Affordances, Attempt, attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.datamodules.replay import Replay
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
 from see2act.seeding import generator, seed_for
+from torch import Tensor
+from tqdm import tqdm
 
 
 class InteractiveDataModule(L.LightningDataModule):
@@ -115,7 +114,8 @@ class _ActThenReplay:
 
     def __iter__(self) -> Iterator[dict[str, Tensor]]:
         assert self._data.trainer is not None
-        return self._data.batches(self._data.trainer.lightning_module.affordances)
+        module: Any = self._data.trainer.lightning_module
+        return self._data.batches(module.affordances)
 
 
 class TrialAndError(L.Callback):

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
-
 from see2act.robot.types import Heightmap
 
 Means = Literal["truth", "vision"]

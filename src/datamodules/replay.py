@@ -32,7 +32,9 @@ class Replay:
     def __len__(self) -> int:
         return len(self._items["label"])
 
-    def add(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"], angle: int, row: int, col: int, success: bool) -> None:
+    def add(
+        self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"], angle: int, row: int, col: int, success: bool
+    ) -> None:
         """Remember an attempt."""
         priority = max(self._items["priority"], default=1.0)
         values = (color, height, angle, row, col, float(success), priority)
@@ -56,7 +58,7 @@ class Replay:
             "weight": torch.tensor(weight / weight.max(), dtype=torch.float32),
         }
 
-    def update(self, surprise: Float[np.ndarray, "B"]) -> None:
+    def update(self, surprise: Float[np.ndarray, " B"]) -> None:
         """New |prediction - label| for the batch drawn last."""
         for i, value in zip(self._drawn, surprise, strict=True):
             self._items["priority"][i] = float(value) + self._floor

@@ -5,11 +5,10 @@ from __future__ import annotations
 import lightning as L
 import numpy as np
 import torch
-from torch import Tensor
-from torch.utils.data import DataLoader, TensorDataset
-
 from see2act.datamodules.collect import Collection
 from see2act.datamodules.labels import Means, Task
+from torch import Tensor
+from torch.utils.data import DataLoader, TensorDataset
 
 
 class VisionDataModule(L.LightningDataModule):

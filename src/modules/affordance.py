@@ -7,11 +7,10 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, UInt8
-from torch import Tensor
-
 from see2act.modules.batchnorm import freeze
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import Rotations
+from torch import Tensor
 
 
 class AffordanceModule(L.LightningModule):
@@ -65,7 +64,7 @@ class AffordanceModule(L.LightningModule):
         self.log("affordance/loss", loss)
         return loss
 
-    def executed_logits(self, batch: dict[str, Tensor]) -> Float[Tensor, "B"]:
+    def executed_logits(self, batch: dict[str, Tensor]) -> Float[Tensor, " B"]:
         """Logits at the executed pixels only; all others have zero loss (paper, section III-C).
 
         With frozen statistics the network runs on the window that the pixel depends on, which gives the same

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from jaxtyping import Float
-from torch import Tensor, nn
-
 from see2act.modules.network import PixelNetwork
+from torch import Tensor, nn
 
 
 class Residual(nn.Module):
@@ -60,6 +59,7 @@ class FCN7(PixelNetwork):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         # Start near "I do not know": every pixel of a new head has a probability of about a half.
         last = head[-1]
-        assert isinstance(last, nn.Conv2d) and last.bias is not None
+        assert isinstance(last, nn.Conv2d)
+        assert last.bias is not None
         nn.init.normal_(last.weight, std=0.01)
         nn.init.zeros_(last.bias)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def sampling_grid(
-    angles: Float[Tensor, "B"], shape: tuple[int, int], canvas: tuple[int, int], offset: Float[Tensor, "B 2"] | None = None
+    angles: Float[Tensor, " B"], shape: tuple[int, int], canvas: tuple[int, int], offset: Float[Tensor, "B 2"] | None = None
 ) -> Float[Tensor, "B h w 2"]:
     """Where each pixel of a turned canvas comes from, in ``grid_sample``'s coordinates (``align_corners=False``).
 
@@ -60,7 +60,8 @@ class Rotations:
         self.stride = stride
         self.angles = torch.arange(count) * (math.pi / count)
         side = math.hypot(*shape)
-        self.canvas = tuple(math.ceil((n if count == 1 else side) / stride) * stride for n in shape)
+        height, width = (math.ceil((n if count == 1 else side) / stride) * stride for n in shape)
+        self.canvas = (height, width)
         self._grid = sampling_grid(self.angles, shape, self.canvas)
         self._rows, self._cols = self._forward_index()
 
@@ -73,16 +74,16 @@ class Rotations:
         index = torch.arange(self.count)[:, None, None]
         return maps[index, 0, self._rows, self._cols]
 
-    def locate(self, angle: Int[Tensor, "B"], row: Int[Tensor, "B"], col: Int[Tensor, "B"]) -> tuple[Tensor, Tensor]:
+    def locate(self, angle: Int[Tensor, " B"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> tuple[Tensor, Tensor]:
         """Row and column on the turned canvas of pixels of the heightmap."""
         return self._rows[angle, row, col], self._cols[angle, row, col]
 
-    def turned(self, x: Float[Tensor, "B 4 H W"], angle: Int[Tensor, "B"]) -> Float[Tensor, "B 4 h w"]:
+    def turned(self, x: Float[Tensor, "B 4 H W"], angle: Int[Tensor, " B"]) -> Float[Tensor, "B 4 h w"]:
         """Each heightmap under its own angle."""
         return warp(x, self._grid[angle])
 
     def window(
-        self, x: Float[Tensor, "B 4 H W"], angle: Int[Tensor, "B"], row: Int[Tensor, "B"], col: Int[Tensor, "B"], reach: int
+        self, x: Float[Tensor, "B 4 H W"], angle: Int[Tensor, " B"], row: Int[Tensor, " B"], col: Int[Tensor, " B"], reach: int
     ) -> tuple[Float[Tensor, "B 4 k k"], Tensor, Tensor]:
         """The part of each turned heightmap that its pixel's logit depends on.
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
-from torch import Tensor
-
 from see2act.modules.network import PixelNetwork
+from torch import Tensor
 
 PARTS = ("backbone", "head")
 ALWAYS = "normalization"
@@ -74,7 +73,9 @@ def _check(source: Mapping[str, Tensor], target: Mapping[str, Tensor], part: str
     ours = {key: list(value.shape) for key, value in target.items() if key.split(".")[0] in (part, ALWAYS)}
     problems = [f"{key} is missing" for key in ours if key not in theirs]
     problems += [f"{key} is not in this network" for key in theirs if key not in ours]
-    problems += [f"{key} is {theirs[key]} there and {ours[key]} here" for key in ours if key in theirs and ours[key] != theirs[key]]
+    problems += [
+        f"{key} is {theirs[key]} there and {ours[key]} here" for key in ours if key in theirs and ours[key] != theirs[key]
+    ]
     if problems:
         more = f" and {len(problems) - SHOWN} more" if len(problems) > SHOWN else ""
         raise TransferError(

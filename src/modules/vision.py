@@ -8,10 +8,10 @@ import lightning as L
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, UInt8
-from torch import Tensor
-
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import sampling_grid, warp, warp_nearest
+from torch import Tensor
 
 Batch = dict[str, Tensor]
 
@@ -58,7 +58,7 @@ class VisionModule(L.LightningModule):
         assert isinstance(self.pos_weight, Tensor)
         return F.binary_cross_entropy_with_logits(logits, label, pos_weight=self.pos_weight)
 
-    def configure_optimizers(self) -> dict[str, object]:
+    def configure_optimizers(self) -> OptimizerLRScheduler:
         optimizer = torch.optim.AdamW(self.network.parameters(), lr=self._lr, weight_decay=self._weight_decay)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self._steps)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

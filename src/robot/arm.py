@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from ur_analytic_ik import ur5
-
 from see2act.robot import urdf
 from see2act.robot.simulation import TIMESTEP, Simulation
+from ur_analytic_ik import ur5
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 EFFORT = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
@@ -180,7 +179,7 @@ def pointing_down(angle: float) -> Float[np.ndarray, "3 3"]:
     return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
 
 
-def _ease(seconds: float) -> Float[np.ndarray, "n"]:
+def _ease(seconds: float) -> Float[np.ndarray, " n"]:
     """Progress from 0 to 1, one value a timestep, smooth at both ends, peaking at 1 / ``seconds``."""
     n = max(1, int(np.ceil(seconds * np.pi / 2 / TIMESTEP)))
     return (1 - np.cos(np.pi * np.arange(1, n + 1) / n)) / 2

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-
 from see2act.robot.simulation import Simulation
 
 NEAR, FAR = 0.1, 3.0
@@ -39,10 +38,10 @@ class DepthNoise:
 
     def __call__(self, depth: Float[np.ndarray, "h w"], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
         """Sensed depth in metres, 0 where there is no reading."""
-        noise = rng.normal(size=depth.shape).astype(np.float32)
+        noise: np.ndarray = rng.normal(size=depth.shape).astype(np.float32)
         if self.blur > 0:
             noise = cv2.GaussianBlur(noise, (0, 0), self.blur)
-            noise /= noise.std()
+            noise = noise / noise.std()
         disparity = self.focal * self.baseline / depth + self.sigma * noise
         disparity = np.round(disparity / self.step) * self.step
         sensed = (self.focal * self.baseline / disparity).astype(np.float32)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 import numpy as np
-
 from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
@@ -56,7 +55,14 @@ class Gripper(EndEffector):
     primitive = "grasp"
 
     def __init__(
-        self, depth: float, torque: float, speed: float, close_steps: int, threshold: float, friction: float, contact_limit: float
+        self,
+        depth: float,
+        torque: float,
+        speed: float,
+        close_steps: int,
+        threshold: float,
+        friction: float,
+        contact_limit: float,
     ):
         self._depth = depth
         self._torque = torque

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
-
 from see2act.robot.types import Heightmap, RobotError
 from see2act.robot.workspace import Workspace
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-
 from see2act.robot.types import RobotError, Split
 
 GRIPPER_OPENING = 0.080
@@ -138,7 +137,7 @@ def _rgb_object(code: str, scale: float = 1.0) -> list[trimesh.Trimesh]:
     ending = f"/{code}_"
     for file in metadata.files("dm-robotics-manipulation") or []:
         if "rgb_v1.3/meshes" in str(file) and ending in str(file) and str(file).endswith(".stl"):
-            mesh = trimesh.load(Path(str(file.locate())), force="mesh").convex_hull
+            mesh = trimesh.load_mesh(Path(str(file.locate()))).convex_hull
             mesh.apply_scale(scale)
             return [mesh]
     raise RobotError(f"mesh '{code}' is not in the installed package dm-robotics-manipulation: run `make install`")

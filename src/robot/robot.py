@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-
 from see2act.robot import heightmap as hm
 from see2act.robot import urdf
 from see2act.robot.arm import Arm, ArmConfig

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
 from see2act.robot.objects import ObjectSet, shape
 from see2act.robot.simulation import Simulation
 from see2act.robot.types import Split
@@ -86,7 +85,7 @@ class Scene:
         client = self._simulation.client
         area = self._size / 2 - self._config.margin
         # Tall guides keep what bounces in its place; they go before anything is seen or picked.
-        guides = self._ring(*area, 0.02, 0.5, None)
+        guides = self._ring(area[0], area[1], 0.02, 0.5, None)
         names = rng.choice(self._objects.names(split), self._objects.kinds, replace=False)
         order = rng.permutation(np.repeat(names, self._objects.copies))
         for name in order[:count]:
@@ -135,7 +134,9 @@ class Scene:
         position = np.array(self._simulation.client.getBasePositionAndOrientation(body.id)[0])
         return bool((np.abs(position[:2]) < self._size / 2).all() and -0.005 < position[2] < 0.3)
 
-    def _add(self, name: str, scale: float, position: tuple[float, ...], rotation: np.ndarray, color: tuple[float, ...]) -> None:
+    def _add(
+        self, name: str, scale: float, position: tuple[float, ...], rotation: np.ndarray, color: tuple[float, ...]
+    ) -> None:
         client = self._simulation.client
         path = Path(self._files.name) / f"{name}.obj"
         if not path.exists():
@@ -145,7 +146,14 @@ class Scene:
         mass = shape(name).volume * scale**3 * self._objects.density
         body = client.createMultiBody(mass, collision, visual, position, rotation)
         client.changeDynamics(
-            body, -1, lateralFriction=0.6, spinningFriction=0.002, rollingFriction=0.0005, restitution=0.0, linearDamping=0.1, angularDamping=0.2
+            body,
+            -1,
+            lateralFriction=0.6,
+            spinningFriction=0.002,
+            rollingFriction=0.0005,
+            restitution=0.0,
+            linearDamping=0.1,
+            angularDamping=0.2,
         )
         self.bodies.append(Body(body, name, scale))
 
@@ -157,7 +165,9 @@ class Scene:
             blocks.append(self._block((x, half, height / 2), (0, sign * (y + half), height / 2), color))
         return blocks
 
-    def _block(self, half: tuple[float, float, float], at: tuple[float, float, float], color: tuple[float, float, float] | None) -> int:
+    def _block(
+        self, half: tuple[float, float, float], at: tuple[float, float, float], color: tuple[float, float, float] | None
+    ) -> int:
         client = self._simulation.client
         collision = client.createCollisionShape(client.GEOM_BOX, halfExtents=half)
         visual = -1 if color is None else client.createVisualShape(client.GEOM_BOX, halfExtents=half, rgbaColor=(*color, 1))

@@ -16,7 +16,9 @@ class Simulation:
 
     def __init__(self) -> None:
         if not pybullet.isNumpyEnabled():
-            raise RuntimeError("this build of pybullet lacks NumPy support, camera images would take seconds: reinstall pybullet")
+            raise RuntimeError(
+                "this build of pybullet lacks NumPy support, camera images would take seconds: reinstall pybullet"
+            )
         self.client = BulletClient(pybullet.DIRECT)
         self.steps = 0
 

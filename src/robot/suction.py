@@ -5,7 +5,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 import numpy as np
-
 from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
@@ -168,7 +167,8 @@ class SuctionCup(EndEffector):
         at, turn = client.getBasePositionAndOrientation(self._sealed_body)
         body_rotation = np.array(client.getMatrixFromQuaternion(turn)).reshape(3, 3)
         return [
-            float(np.linalg.norm(rotation @ point + position - body_rotation @ on_body - at)) for _, point, on_body in self._seal
+            float(np.linalg.norm(rotation @ point + position - body_rotation @ on_body - at))
+            for _, point, on_body in self._seal
         ]
 
     def _cup_frame(self) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,6 @@ import io
 import numpy as np
 import pytest
 import torch
-
 from see2act.datamodules.replay import Replay
 
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.fcn7 import FCN7

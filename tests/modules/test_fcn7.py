@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-
 from see2act.modules.batchnorm import batchnorms, estimate, freeze
 from see2act.modules.fcn7 import FCN7
 
@@ -25,7 +24,21 @@ def test_backbone_has_seven_convolutions_at_stride_four(network: FCN7) -> None:
 
 
 def test_width_64_is_the_paper_s() -> None:
-    assert [m.num_features for m in batchnorms(FCN7(64)).values()] == [64, 128, 128, 256, 256, 512, 512, 256, 256, 128, 128, 64, 64]
+    assert [m.num_features for m in batchnorms(FCN7(64)).values()] == [
+        64,
+        128,
+        128,
+        256,
+        256,
+        512,
+        512,
+        256,
+        256,
+        128,
+        128,
+        64,
+        64,
+    ]
 
 
 def test_reach_covers_everything_a_logit_depends_on(network: FCN7) -> None:

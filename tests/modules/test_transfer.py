@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-
 from see2act.modules.fcn7 import FCN7
 from see2act.modules.transfer import TransferError, copy_parts
 
@@ -47,7 +46,9 @@ def test_a_full_transfer_gives_the_source_s_output() -> None:
 def test_another_width_is_refused_with_keys_and_shapes() -> None:
     target = _network(2)
     before = {k: v.clone() for k, v in target.state_dict().items()}
-    with pytest.raises(TransferError, match=r"backbone\.0\.weight is \[8, 4, 3, 3\] there and \[4, 4, 3, 3\] here.*model\.width"):
+    with pytest.raises(
+        TransferError, match=r"backbone\.0\.weight is \[8, 4, 3, 3\] there and \[4, 4, 3, 3\] here.*model\.width"
+    ):
         copy_parts(_network(1, 8).state_dict(), target, ["backbone", "head"])
     assert all(torch.equal(v, before[k]) for k, v in target.state_dict().items())
 

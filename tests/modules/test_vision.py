@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import torch
-
 from see2act.modules.fcn7 import FCN7
 from see2act.modules.vision import VisionModule
 

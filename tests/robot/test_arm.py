@@ -5,11 +5,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from hydra.utils import instantiate
-from ur_analytic_ik import ur5
-
 from see2act.robot import urdf
 from see2act.robot.arm import Arm, pointing_down
 from see2act.robot.simulation import Simulation
+from ur_analytic_ik import ur5
 
 LIMIT = 3.14159265
 """Of every joint, rad (the UR5's URDF)."""

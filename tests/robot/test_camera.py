@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-
 from see2act.robot import heightmap as hm
 from see2act.robot.camera import DepthNoise
 from see2act.robot.robot import SimulatedRobot
@@ -48,9 +47,7 @@ def test_intrinsics_and_pose_agree_with_the_renderer(robot: SimulatedRobot) -> N
 
 def test_noise_grows_with_distance_squared() -> None:
     noise = DepthNoise(blur=0, step=1e-6)
-    spread = [
-        (noise(np.full((200, 200), z, np.float32), np.random.default_rng(0)) - z).std() / z**2 for z in (0.5, 0.75, 1.0)
-    ]
+    spread = [(noise(np.full((200, 200), z, np.float32), np.random.default_rng(0)) - z).std() / z**2 for z in (0.5, 0.75, 1.0)]
     assert spread == pytest.approx([0.08 / (930 * 0.055)] * 3, rel=0.05)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-
 from see2act.robot.gripper import DRIVER, FOLLOWERS, PADS, opening
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Outcome

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 from hydra.utils import instantiate
-
 from see2act.robot import objects
 from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape
 from see2act.robot.types import RobotError

@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.scene import AT_REST
 
@@ -52,7 +51,6 @@ def test_a_smaller_count_drops_fewer(robot: SimulatedRobot) -> None:
 
 def _episode(queue: multiprocessing.Queue) -> None:
     from hydra import compose, initialize_config_module
-
     from see2act import build
     from see2act.config import register
 
