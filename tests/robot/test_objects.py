@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from hydra.utils import instantiate
+from see2act.datamodules.labels import plane_fit
 from see2act.robot import objects
 from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape
 from see2act.robot.types import RobotError
@@ -82,3 +83,38 @@ def test_a_shape_without_volume_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(objects.CATALOGUE, "sheet", lambda: [flat])
     with pytest.raises(RobotError, match="'sheet' has a part without volume"):
         shape("sheet")
+
+
+def _height_from_above(name: str, pose: np.ndarray, pixel: float, half: int) -> np.ndarray:
+    """Height of a posed shape on a square grid, metres; NaN beside it. Exact for convex parts."""
+    y, x = np.mgrid[-half : half + 1, -half : half + 1] * pixel
+    best = np.full(x.shape, np.nan)
+    for part in shape(name).parts:
+        posed = part.copy().apply_transform(pose)
+        top, bottom = np.full(x.shape, np.inf), np.full(x.shape, -np.inf)
+        for n, point in zip(posed.face_normals, posed.triangles[:, 0], strict=True):
+            distance = n @ point - n[0] * x - n[1] * y
+            if n[2] > 1e-6:
+                top = np.minimum(top, distance / n[2])
+            elif n[2] < -1e-6:
+                bottom = np.maximum(bottom, distance / n[2])
+            else:
+                top[distance < 0] = -np.inf
+        best = np.fmax(best, np.where(top > bottom, top, np.nan))
+    return best
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_however_it_lies_some_face_suits_the_cup(name: str) -> None:
+    """In every pose it can come to rest in, at the smallest scale, the cup (18 mm, 30 degrees) finds a place."""
+    points = np.concatenate([part.vertices for part in shape(name).parts])
+    hull = trimesh.convex.convex_hull(points)
+    poses, likely = trimesh.poses.compute_stable_poses(hull, center_mass=np.zeros(3), n_samples=1)
+    pixel, rim = 0.001 / 0.8, 9  # millimetres at scale 0.8
+    for pose, probability in zip(poses, likely, strict=True):
+        if probability < 0.03:
+            continue
+        height = _height_from_above(name, pose, pixel, 60)
+        tilt, rms = plane_fit(np.nan_to_num(height, nan=-1.0), pixel, rim)
+        suits = (tilt < np.radians(27)) & (rms < 0.0012)
+        assert (suits & np.isfinite(height)).any(), f"lying with probability {probability:.2f} it shows no face: {pose[:3, :3]}"
