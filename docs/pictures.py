@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from hydra import compose, initialize_config_module
-
 from see2act import build
 from see2act.config import register
 from see2act.robot.camera import Camera, DepthNoise

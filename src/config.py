@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -28,6 +29,8 @@ class TaskConfig:
     """``_target_`` and arguments of a :class:`see2act.datamodules.labels.Task`; null where nothing is learned."""
     parts: list[str] = field(default_factory=list)
     """What this source can give: backbone, head."""
+    weights: str | None = None
+    """A vision checkpoint of one's own to use instead of pre-training."""
     class_weight: str = "none"
     """``none``, or ``balanced`` to weigh positive pixels by the inverse of their share."""
 
@@ -135,6 +138,8 @@ class Config:
     logger: dict[str, Any] = field(default_factory=dict)
     labels: str = "truth"
     seed: int = 0
+    threads: int = 2
+    """Of torch; sums, and so results, may depend on it in the last digits."""
     force: bool = False
     collect: CollectConfig = field(default_factory=CollectConfig)
     pretrain: PretrainConfig = field(default_factory=PretrainConfig)
@@ -194,6 +199,7 @@ def validate(cfg: DictConfig) -> None:
     _at_least("finetune.attempts", cfg.finetune.attempts, 0)
     for key in ("collect.interactions", "collect.per_scene", "collect.workers", "pretrain.epochs", "pretrain.batch_size"):
         _at_least(key, OmegaConf.select(cfg, key), 1)
+    _at_least("threads", cfg.threads, 1)
     for key in ("finetune.updates", "finetune.batch_size", "finetune.episode_attempts", "evaluate.runs"):
         _at_least(key, OmegaConf.select(cfg, key), 1)
     for key in ("pretrain.lr", "finetune.backbone_lr", "finetune.head_lr", "finetune.temperature"):
@@ -202,6 +208,8 @@ def validate(cfg: DictConfig) -> None:
         _at_least(f"evaluate.attempts.{split}", cfg.evaluate.attempts.get(split, 0), 1)
     for step in cfg.evaluate.at:
         _at_least("evaluate.at", step, 0)
+    if cfg.task.weights and not Path(cfg.task.weights).is_file():
+        raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of a run's checkpoints/vision.ckpt")
     if not 0 < cfg.pretrain.validation < 1:
         raise ConfigError(f"pretrain.validation={cfg.pretrain.validation} must lie between 0 and 1: it is a share")
     train = cfg.collect.interactions - max(1, round(cfg.pretrain.validation * cfg.collect.interactions))

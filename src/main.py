@@ -11,7 +11,9 @@ from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import JobReturn
 from hydra.errors import HydraException
+from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -45,6 +47,23 @@ def main() -> None:
     except ConfigError as error:
         sys.exit(f"see2act: {error}")
     _hydra_main()
+
+
+class SkippedCells(Callback):
+    """Lists at the end of a sweep the combinations that were skipped because they make no sense."""
+
+    def __init__(self) -> None:
+        self._reasons: list[str] = []
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **_: Any) -> None:
+        """Hydra calls this after every job."""
+        if job_return.cfg is not None and (reason := illegal_cell(job_return.cfg)):
+            self._reasons.append(f"{job_return.cfg.primitive.name}: {reason}")
+
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        """Hydra calls this after the last job."""
+        if self._reasons:
+            log.info("%d combinations were skipped:\n  %s", len(self._reasons), "\n  ".join(self._reasons))
 
 
 def _check(overrides: list[str]) -> None:
@@ -110,9 +129,8 @@ def _hydra_main(cfg: DictConfig) -> float | None:
     """One job: a run, or in a sweep the notice that a cell makes no sense."""
     sweep = HydraConfig.get().mode == RunMode.MULTIRUN
     folder = Path(HydraConfig.get().runtime.output_dir)
-    if sweep and (reason := illegal_cell(cfg)):
-        log.info("skipped: %s", reason)
-        return None
+    if sweep and illegal_cell(cfg):
+        return None  # SkippedCells lists it
     try:
         validate(cfg)
         _check_parts(cfg)
@@ -136,17 +154,17 @@ def run(cfg: DictConfig, folder: Path) -> float:
         log.info("this run is finished already; force=true runs it anew: %s", result)
         return float(json.loads(result.read_text())["eval"]["unseen"]["rate"])
     # Imported late: torch and lightning take seconds, which --help should not.
+    import torch
     from see2act.modules.transfer import TransferError
     from see2act.pipeline import Run
     from see2act.quiet import quiet
 
     quiet()
+    torch.set_num_threads(cfg.threads)
     try:
         outcome = Run(cfg, folder)()
     except TransferError as error:
         sys.exit(f"see2act: {error}")
-    finally:
-        _close_loggers()
     _report(outcome, folder)
     return float(outcome["eval"]["unseen"]["rate"])
 
@@ -155,11 +173,6 @@ def _move_aside(folder: Path, aside: Path) -> None:
     aside.mkdir(parents=True)
     for item in folder.iterdir():
         item.rename(aside / item.name)
-
-
-def _close_loggers() -> None:
-    if "wandb" in sys.modules and sys.modules["wandb"].run is not None:
-        sys.modules["wandb"].finish(quiet=True)
 
 
 def _report(result: dict[str, Any], folder: Path) -> None:

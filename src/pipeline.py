@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 import logging
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import lightning as L
@@ -27,7 +29,7 @@ from see2act.files import replacing, write_json
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms, estimate
 from see2act.modules.network import PixelNetwork
-from see2act.modules.transfer import TransferReport, copy_parts
+from see2act.modules.transfer import TransferError, TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, curve, versions
@@ -58,6 +60,7 @@ class Run:
 
     def __call__(self) -> dict[str, Any]:
         """All stages in order; the contents of ``result.json``."""
+        self.check_weights()
         with self._timed("collect"):
             collection = self.collect()
         with self._timed("pretrain"):
@@ -73,6 +76,15 @@ class Run:
         with self._timed("figures"):
             self.figures(collection, vision, before, module)
         return self._finish()
+
+    def check_weights(self) -> None:
+        """Refuse a vision model that does not fit, before any work.
+
+        Raises:
+            TransferError: Keys or shapes differ.
+        """
+        if self.cfg.task.weights:
+            copy_parts(self._weights(self.cfg.task.weights)["network"], self._network(0), self.cfg.transfer.parts)
 
     def collect(self) -> Collection:
         """Observations of random interaction, from the cache or made now."""
@@ -94,8 +106,10 @@ class Run:
         return Collection.load(path)
 
     def pretrain(self, collection: Collection) -> dict[str, Any] | None:
-        """The vision model's checkpoint, from the cache or trained now; None for ``task=none``."""
+        """The vision model's checkpoint: given, from the cache or trained now; None for ``task=none``."""
         cfg = self.cfg
+        if cfg.task.weights:
+            return self._weights(cfg.task.weights)
         if cfg.task.label is None:
             return None
         keys = {"collection": self._collection_key(), **_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
@@ -103,7 +117,7 @@ class Run:
         path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
-        checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
+        checkpoint = self._weights(path)
         with replacing(self.checkpoints / "vision.ckpt") as partial:
             torch.save(checkpoint, partial)
         log.info("pretrain: %.1f %% of the pixels are positive", 100 * checkpoint["positive_share"])
@@ -165,6 +179,17 @@ class Run:
         finally:
             robot.close()
 
+    def _weights(self, path: Path | str) -> dict[str, Any]:
+        try:
+            checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
+            checkpoint["network"].keys()
+        except (RuntimeError, OSError, UnpicklingError, KeyError, EOFError, TypeError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise TransferError(
+                f"{path} is no vision checkpoint of see2act ({reason}): use a run's checkpoints/vision.ckpt"
+            ) from None
+        return checkpoint
+
     def _train_vision(self, collection: Collection, path: Path) -> None:
         cfg, seed = self.cfg, self.cfg.pretrain.seed
         data = VisionDataModule(
@@ -181,8 +206,7 @@ class Run:
         steps = data.steps_per_epoch * cfg.pretrain.epochs
         module = VisionModule(network, cfg.pretrain.lr, cfg.pretrain.weight_decay, weight, steps, seed_for("augment", seed))
         trainer = self._trainer("vision", max_epochs=cfg.pretrain.epochs)
-        trainer.fit(module, data)
-        _refuse_interrupted(trainer)
+        self._fit_to_the_end(trainer, module, data)
         checkpoint = {
             "network": network.state_dict(),
             "positive_share": data.positive_share,
@@ -219,8 +243,7 @@ class Run:
                 "finetune", max_epochs=self.attempts, callbacks=[loop], enable_progress_bar=False, limit_val_batches=0
             )
             module.train()  # Lightning keeps the mode it finds
-            trainer.fit(module, datamodule=data, ckpt_path=resume, weights_only=True)
-            _refuse_interrupted(trainer)
+            self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)
             trainer.save_checkpoint(self.checkpoints / "affordance.ckpt", weights_only=True)
             trainer.save_checkpoint(self.checkpoints / "last.ckpt")
         finally:
@@ -288,8 +311,19 @@ class Run:
         if self.cfg.logger:
             name = f"{self._title().replace(' ', '-')}-{stage}"
             logger = instantiate(self.cfg.logger)(save_dir=str(self.folder), name=name)
+            logger.log_hyperparams(OmegaConf.to_container(self.cfg, resolve=True))
         trainer: L.Trainer = instantiate(self.cfg.trainer)(default_root_dir=str(self.folder), logger=logger, **more)
         return trainer
+
+    def _fit_to_the_end(self, trainer: L.Trainer, module: L.LightningModule, data: L.LightningDataModule, **more: Any) -> None:
+        try:
+            trainer.fit(module, datamodule=data, **more)
+        finally:
+            if "wandb" in sys.modules:
+                sys.modules["wandb"].finish()
+        if trainer.interrupted:
+            # Lightning ends a fit quietly on SIGTERM; what follows must not take it for finished.
+            raise KeyboardInterrupt
 
     def _collection_key(self) -> str:
         keys = _plain(self.cfg, "collect", "robot", "workspace", "camera", "objects")
@@ -331,12 +365,6 @@ class Run:
         write_json(self.folder / "result.json", result)
         (self.folder / "progress.json").unlink()
         return result
-
-
-def _refuse_interrupted(trainer: L.Trainer) -> None:
-    # Lightning ends a fit quietly on SIGTERM; what follows must not take it for finished.
-    if trainer.interrupted:
-        raise KeyboardInterrupt
 
 
 def _plain(cfg: DictConfig, *keys: str) -> dict[str, Any]:

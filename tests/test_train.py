@@ -117,6 +117,21 @@ def test_same_seed_same_attempts_and_a_killed_run_continues(tmp_path: Path, cach
     assert json.loads((killed / "result.json").read_text())["evals"] == json.loads((whole / "result.json").read_text())["evals"]
 
 
+def test_a_vision_model_of_another_width_is_refused_before_any_work(run: tuple[Path, str], tmp_path: Path) -> None:
+    weights = run[0] / "checkpoints" / "vision.ckpt"
+    foreign = tmp_path / "foreign.ckpt"
+    foreign.write_text("no checkpoint")
+    for file, words in (
+        (weights, "backbone.0.weight is [4, 4, 3, 3] there and [8, 4, 3, 3] here"),
+        (foreign, "no vision checkpoint"),
+    ):
+        command = _command(tmp_path / "run", tmp_path / "cache", "model.network.width=8", f"task.weights={file}")
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+        assert done.returncode == 1
+        assert words in done.stderr
+        assert not (tmp_path / "cache").exists()
+
+
 def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
     _train(tmp_path / "none", cache, "logger=csv", "task=none", "transfer=none", "finetune.attempts=2")
     assert not json.loads((tmp_path / "none" / "transfer.json").read_text())["copied"]
@@ -149,4 +164,4 @@ def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> 
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert len(list(tmp_path.glob("sweep/**/result.json"))) == 2
-    assert done.stdout.count("skipped: ") == 2
+    assert "2 combinations were skipped" in done.stdout.splitlines()[-3]
