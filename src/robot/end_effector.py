@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 
 from see2act.robot.arm import Arm
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Pick
+from see2act.robot.types import Cause, Pick
 
 
 class EndEffector(ABC):
@@ -45,6 +45,15 @@ class EndEffector(ABC):
     @abstractmethod
     def engaged(self) -> bool:
         """Whether it took hold of something when it engaged (for the cause of a failure, never for the verdict)."""
+
+    @abstractmethod
+    def why_failed(self, engaged: bool, blocked: bool) -> Cause:
+        """The cause of a failure on an object.
+
+        Args:
+            engaged: Whether it had hold of something.
+            blocked: Whether the descent was stopped by force.
+        """
 
     @abstractmethod
     def lost_hold(self) -> bool:

@@ -9,7 +9,7 @@ from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Pick
+from see2act.robot.types import Cause, Pick
 
 DRIVER = "gripper_finger_joint"
 FOLLOWERS = {
@@ -115,6 +115,9 @@ class Gripper(EndEffector):
 
     def engaged(self) -> bool:
         return opening(self._angle()) > self._threshold
+
+    def why_failed(self, engaged: bool, blocked: bool) -> Cause:
+        return "collision" if blocked else "slipped"
 
     def lost_hold(self) -> bool:
         return False

@@ -239,10 +239,4 @@ class SimulatedRobot(Robot):
             return "ok"
         if blocked and contact.wall:
             return "wall"
-        if engaged:
-            return "slipped"
-        if not contact.object:
-            return "missed"
-        if self._tool.primitive == "suction":
-            return "no_seal"
-        return "collision" if blocked else "slipped"
+        return self._tool.why_failed(engaged, blocked) if contact.object else "missed"

@@ -9,7 +9,7 @@ from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Pick
+from see2act.robot.types import Cause, Pick
 
 RIM_RAYS = 16
 ANCHORS = 4
@@ -105,6 +105,9 @@ class SuctionCup(EndEffector):
 
     def engaged(self) -> bool:
         return self._had_seal
+
+    def why_failed(self, engaged: bool, blocked: bool) -> Cause:
+        return "slipped" if engaged else "no_seal"
 
     def lost_hold(self) -> bool:
         if self._seal and max(self._gaps()) > self._peel:
