@@ -10,6 +10,8 @@ from see2act.robot.workspace import Workspace
 
 CRACK = 2.0
 """Holes within this many pixels of a reading are cracks between samples and take the nearest value."""
+FLOOR = 0.01
+"""Readings lower than this, in metres, are of the floor."""
 
 
 def point_cloud(
@@ -55,7 +57,7 @@ def project(color: np.ndarray, depth: np.ndarray, points: np.ndarray, workspace:
     """The heightmap of one RGB-D image.
 
     Cells without a reading are filled: cracks with the nearest reading, larger holes (space hidden from
-    the camera) as dark floor; ``valid`` is False in both.
+    the camera) with the nearest reading of the floor; ``valid`` is False in both.
 
     Raises:
         RobotError: The depth holds NaN, or nothing of the workspace is in view.
@@ -73,7 +75,11 @@ def project(color: np.ndarray, depth: np.ndarray, points: np.ndarray, workspace:
     height[rows, cols] = points.reshape(-1, 3)[index, 2]
     colors[rows, cols] = color.reshape(-1, 3)[index]
     source, known = fill(valid)
-    return Heightmap(colors[source] * known[..., None], height[source] * known, valid)
+    floor = valid & (height < FLOOR)
+    if floor.any():
+        (floor_rows, floor_cols), _ = fill(floor)
+        source = np.where(known, source[0], floor_rows), np.where(known, source[1], floor_cols)
+    return Heightmap(colors[source], height[source], valid)
 
 
 def fill(valid: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:

@@ -36,12 +36,16 @@ def test_a_point_lands_in_the_cell_of_its_pixel() -> None:
 
 
 def test_cracks_take_the_nearest_value_and_hidden_space_is_floor() -> None:
-    heightmap = _project(_cloud(200, -0.18, 0.0, 0.05))
-    row, col = (int(i) for i in BIN.to_pixel(np.array(0.0), np.array(0.0)))
-    assert not heightmap.valid[row - 1, col + 2]
-    assert heightmap.height[row + 5, col + 1] == pytest.approx(0.05)
-    assert heightmap.height[row + 5, col + 20] == 0
-    assert np.isfinite(heightmap.height).all()
+    """A block at the upper right and a patch of floor at the lower left: what lies between was not seen."""
+    points = np.concatenate([_cloud(200, 0.0, 0.18, 0.05), _cloud(200, -0.18, -0.15, 0.001)])
+    heightmap = _project(points)
+    row, col = (int(i) for i in BIN.to_pixel(np.array(0.05), np.array(0.001)))
+    assert heightmap.valid[row, col]
+    assert not heightmap.valid[row + 2, col]
+    assert heightmap.height[row + 2, col] == pytest.approx(0.05)
+    assert not heightmap.valid[row + 6, col]
+    assert heightmap.height[row + 6, col] == pytest.approx(0.001)
+    assert (heightmap.color == 200).all()
 
 
 def test_nan_depth_is_refused() -> None:
