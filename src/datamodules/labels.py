@@ -57,7 +57,7 @@ class Task(ABC):
 
 
 class Edge(Task):
-    """Edges of the colour image by Canny.
+    """Edges of the colour image by Canny, in any of its channels: a green object can be as bright as the grey floor.
 
     Args:
         pixel: Metres a pixel.
@@ -76,12 +76,12 @@ class Edge(Task):
         return self._canny(view.sensed)
 
     def _canny(self, heightmap: Heightmap) -> np.ndarray:
-        grey = cv2.GaussianBlur(_grey(heightmap), (0, 0), self._blur)
-        return cv2.Canny(grey, self._low, self._high) > 0
+        smooth = cv2.GaussianBlur(heightmap.color, (0, 0), self._blur)
+        return np.logical_or.reduce([cv2.Canny(channel, self._low, self._high) > 0 for channel in cv2.split(smooth)])
 
 
 class Corner(Task):
-    """Corners of the colour image by Harris, as discs.
+    """Corners of the colour image by Harris, in any of its channels, as discs.
 
     Args:
         pixel: Metres a pixel.
@@ -102,7 +102,8 @@ class Corner(Task):
         return self._harris(view.sensed)
 
     def _harris(self, heightmap: Heightmap) -> np.ndarray:
-        response = cv2.cornerHarris(_grey(heightmap).astype(np.float32), self.pixels(self._window), 3, self._k)
+        channels = cv2.split(heightmap.color.astype(np.float32))
+        response = np.max([cv2.cornerHarris(channel, self.pixels(self._window), 3, self._k) for channel in channels], axis=0)
         size = 2 * self.pixels(self._radius) + 1
         peak = (response == ndimage.maximum_filter(response, size)) & (response > self._threshold * response.max())
         return discs(np.argwhere(peak), peak.shape, self.pixels(self._radius))
@@ -228,7 +229,3 @@ def discs(centres: np.ndarray, shape: tuple[int, ...], radius: int) -> Bool[np.n
 
 def _correlate(image: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
     return ndimage.correlate1d(ndimage.correlate1d(image, down, axis=0, mode="nearest"), across, axis=1, mode="nearest")
-
-
-def _grey(heightmap: Heightmap) -> np.ndarray:
-    return cv2.cvtColor(heightmap.color, cv2.COLOR_RGB2GRAY)
