@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -171,8 +172,10 @@ def run(cfg: DictConfig, folder: Path) -> float:
 
 def _move_aside(folder: Path, aside: Path) -> None:
     aside.mkdir(parents=True)
+    shutil.copytree(folder / ".hydra", aside / ".hydra")  # Hydra has written this run's already
     for item in folder.iterdir():
-        item.rename(aside / item.name)
+        if item.name != ".hydra":
+            item.rename(aside / item.name)
 
 
 def _report(result: dict[str, Any], folder: Path) -> None:

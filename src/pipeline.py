@@ -244,8 +244,9 @@ class Run:
             )
             module.train()  # Lightning keeps the mode it finds
             self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)
-            trainer.save_checkpoint(self.checkpoints / "affordance.ckpt", weights_only=True)
-            trainer.save_checkpoint(self.checkpoints / "last.ckpt")
+            for name, weights_only in (("affordance", True), ("last", False)):
+                with replacing(self.checkpoints / f"{name}.ckpt") as partial:
+                    trainer.save_checkpoint(partial, weights_only=weights_only)
         finally:
             robot.close()
         self.progress.set("finetuned", True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -60,13 +60,11 @@ class Policy:
 
     def plain(self) -> Policy:
         """The plain argmax rule, without memory."""
-        return Policy("argmax", suppress=False)
+        return replace(self, name="argmax", suppress=False, _failures=[])
 
     def fresh(self) -> Policy:
         """The same rule with an empty memory."""
-        return Policy(
-            self.name, self.suppress, self.radius, self.angles, self.changed_height, self.changed_share, self.changed_radius
-        )
+        return replace(self, _failures=[])
 
     def choose(
         self,

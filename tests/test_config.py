@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from see2act.config import ConfigError, config_hash, illegal_cell, validate
-from see2act.main import _check
+from see2act.main import _check, _move_aside
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 TASKS = ("none", "edge", "corner", "center", "foreground", "normal")
@@ -42,7 +42,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
     assert len(base) == 12
     for same in ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true"):
         assert config_hash(config(same)) == base
-    for other in ("task=corner", "model.network.width=8", "finetune.updates=5", "policy=argmax", "collect.interactions=301"):
+    for other in ("task=corner", "model.width=8", "finetune.updates=5", "policy=argmax", "collect.interactions=301"):
         assert config_hash(config(other)) != base
 
 
@@ -54,7 +54,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("transfer=head", ["head", "backbone", "full"]),
         ("widht=3", ["widht", "--cfg job"]),
         ("finetune.attemps=3", ["finetune.attemps", "--cfg job"]),
-        ("model.network.widht=3", ["model.network.widht"]),
+        ("model.widht=3", ["model.network.widht"]),
         ("finetune.attempts=-1", ["finetune.attempts=-1", "at least 0"]),
         ("finetune.attempts=many", ["many", "finetune.attempts"]),
         ("task=none", ["transfer=none"]),
@@ -92,6 +92,16 @@ def test_a_refusal_ends_the_program_without_work(tmp_path: Path) -> None:
     assert done.stderr.strip().count("\n") == 0
     assert "choose from" in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_force_keeps_the_earlier_run(tmp_path: Path) -> None:
+    folder = tmp_path / "seed0"
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / "figures").mkdir()
+    (folder / "result.json").write_text("{}")
+    _move_aside(folder, tmp_path / "seed0.before")
+    assert [item.name for item in folder.iterdir()] == [".hydra"]
+    assert {item.name for item in (tmp_path / "seed0.before").iterdir()} == {".hydra", "figures", "result.json"}
 
 
 def test_help_does_not_wait_for_torch() -> None:

@@ -15,7 +15,7 @@ import pytest
 TRAIN = Path(__file__).parents[1] / "train.py"
 TINY = (
     *("collect.interactions=10", "pretrain.epochs=1", "pretrain.batch_size=4", "finetune.updates=2", "finetune.batch_size=4"),
-    *("evaluate.attempts.seen=2", "evaluate.attempts.unseen=2", "figures.scenes=1", "model.network.width=4"),
+    *("evaluate.attempts.seen=2", "evaluate.attempts.unseen=2", "figures.scenes=1", "model.width=4"),
 )
 PICTURES = {"learning_curve.png", "labels.png", "heatmaps.png", "picks.png"}
 
@@ -125,7 +125,7 @@ def test_a_vision_model_of_another_width_is_refused_before_any_work(run: tuple[P
         (weights, "backbone.0.weight is [4, 4, 3, 3] there and [8, 4, 3, 3] here"),
         (foreign, "no vision checkpoint"),
     ):
-        command = _command(tmp_path / "run", tmp_path / "cache", "model.network.width=8", f"task.weights={file}")
+        command = _command(tmp_path / "run", tmp_path / "cache", "model.width=8", f"task.weights={file}")
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
         assert done.returncode == 1
         assert words in done.stderr

@@ -12,6 +12,7 @@ import numpy as np
 from see2act.attempt import Affordances, Attempt, attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.datamodules.replay import Replay
+from see2act.files import replacing
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
 from see2act.seeding import generator, seed_for
@@ -180,7 +181,8 @@ class TrialAndError(L.Callback):
         if step in self._evaluate_at:
             self._evaluate(step)
         if self._data.episode_over and step < self._attempts:
-            trainer.save_checkpoint(self._checkpoint)
+            with replacing(self._checkpoint) as partial:  # a kill while writing must not cost the run
+                trainer.save_checkpoint(partial)
 
     def on_train_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         self._bar.close()

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from see2act.robot import urdf
 from see2act.robot.simulation import TIMESTEP, Simulation
 from ur_analytic_ik import ur5
 
@@ -166,11 +165,6 @@ class Arm:
             forces=EFFORT,
             positionGains=[GAIN] * 6,
         )
-
-
-def tool_on_arm(tool: object) -> str:
-    """URDF text of the UR5 carrying an end effector."""
-    return urdf.mount(urdf.ur5(), tool)  # type: ignore[arg-type]
 
 
 def pointing_down(angle: float) -> Float[np.ndarray, "3 3"]:

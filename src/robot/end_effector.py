@@ -56,8 +56,8 @@ class EndEffector(ABC):
         """
 
     @abstractmethod
-    def lost_hold(self) -> bool:
-        """Called after every step of the lift: keep the hold up to date and say whether it broke."""
+    def update_hold(self) -> None:
+        """Called after every step of the lift: let go where the load is more than the hold can bear."""
 
     @abstractmethod
     def sense(self) -> tuple[float, bool]:

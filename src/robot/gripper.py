@@ -119,8 +119,8 @@ class Gripper(EndEffector):
     def why_failed(self, engaged: bool, blocked: bool) -> Cause:
         return "collision" if blocked else "slipped"
 
-    def lost_hold(self) -> bool:
-        return False
+    def update_hold(self) -> None:
+        """Friction alone decides."""
 
     def sense(self) -> tuple[float, bool]:
         gap = opening(self._angle())

@@ -202,8 +202,13 @@ class SimulatedRobot(Robot):
         start = self._arm.commanded_position
         up = self._arm.line(start, start + [0, 0, LIFT], pick.angle, self._config.tool_speed)
         assert up is not None, "the lift retraces the reachable descent"
-        self._arm.follow(up, until=lambda: self._tool.lost_hold() and False)
-        self._arm.wait(HOLD_STEPS, until=lambda: self._tool.lost_hold() and False)
+
+        def tend() -> bool:
+            self._tool.update_hold()
+            return False
+
+        self._arm.follow(up, until=tend)
+        self._arm.wait(HOLD_STEPS, until=tend)
 
     def _blocked(self, contact: _Contact) -> Callable[[], bool]:
         """After each step of a descent: whether the tool meets more force than it may."""

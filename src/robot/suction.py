@@ -109,11 +109,9 @@ class SuctionCup(EndEffector):
     def why_failed(self, engaged: bool, blocked: bool) -> Cause:
         return "slipped" if engaged else "no_seal"
 
-    def lost_hold(self) -> bool:
+    def update_hold(self) -> None:
         if self._seal and max(self._gaps()) > self._peel:
             self.release()
-            return True
-        return False
 
     def sense(self) -> tuple[float, bool]:
         difference = self._pressure - self._before
@@ -155,7 +153,7 @@ class SuctionCup(EndEffector):
         # A link's constraint frame starts at its centre of mass, half-way up the cup.
         for point in self._rim(ANCHORS):
             on_body = body_rotation.T @ (rotation @ point + position - at)
-            on_link = point - [0, 0, -self._cup_length / 2 + 0.0]
+            on_link = point + [0, 0, self._cup_length / 2]
             constraint = client.createConstraint(
                 self._arm.body, self._cup, body, -1, client.JOINT_POINT2POINT, (0, 0, 0), on_link.tolist(), on_body.tolist()
             )
