@@ -54,7 +54,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("transfer=head", ["head", "backbone", "full"]),
         ("widht=3", ["widht", "--cfg job"]),
         ("finetune.attemps=3", ["finetune.attemps", "--cfg job"]),
-        ("model.widht=3", ["model.network.widht"]),
+        ("model.widht=3", ["model.widht"]),
         ("finetune.attempts=-1", ["finetune.attempts=-1", "at least 0"]),
         ("finetune.attempts=many", ["many", "finetune.attempts"]),
         ("task=none", ["transfer=none"]),
