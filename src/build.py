@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -38,7 +39,7 @@ def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRo
 
 def policy(cfg: DictConfig) -> Policy:
     """The rule that turns affordances into picks."""
-    built: Policy = instantiate(cfg.policy)
+    built: Policy = instantiate(cfg.policy, margin=math.ceil(cfg.primitive.margin / cfg.workspace.pixel))
     return built
 
 

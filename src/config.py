@@ -50,6 +50,8 @@ class PrimitiveConfig:
 
     name: str = MISSING
     angles: int = MISSING
+    margin: float = MISSING
+    """Metres from the bin's walls where the tool has no room."""
     end_effector: dict[str, Any] = field(default_factory=dict)
     attempts: int = MISSING
     """Fine-tuning attempts of the main job."""

@@ -329,6 +329,7 @@ class Run:
     def _collection_key(self) -> str:
         keys = _plain(self.cfg, "collect", "robot", "workspace", "camera", "objects")
         keys["collect"].pop("workers")
+        keys["collect"]["primitive"] = keys["collect"]["primitive"]["end_effector"]
         keys["code"] = code_hash("robot", "datamodules/collect.py")
         return content_hash(keys)
 

@@ -47,6 +47,7 @@ class Policy:
         changed_height: Metres by which a cell must change to count as changed.
         changed_share: Share of changed cells around the pick that makes the scene there a new one.
         changed_radius: Pixels around the pick that are compared.
+        margin: Pixels along the bin's walls where the tool has no room, whatever its angle.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Policy:
     changed_height: float = 0.008
     changed_share: float = 0.1
     changed_radius: int = 12
+    margin: int = 0
     _failures: list[_Failure] = field(default_factory=list)
 
     def plain(self) -> Policy:
@@ -99,8 +101,11 @@ class Policy:
 
     def _allowed(self, shape: tuple[int, ...], heightmap: Heightmap) -> np.ndarray:
         self._failures = [f for f in self._failures if not self._changed(f, heightmap)]
-        allowed = np.ones(shape, bool)
         angles, rows, cols = shape
+        inner = slice(self.margin, rows - self.margin), slice(self.margin, cols - self.margin)
+        allowed = np.zeros(shape, bool)
+        allowed[:, *inner] = True
+        room = allowed.copy()
         v, u = np.ogrid[:rows, :cols]
         for failure in self._failures:
             c = failure.choice
@@ -108,7 +113,7 @@ class Policy:
             beside = [(c.angle + k) % angles for k in range(-self.angles, self.angles + 1)]
             for angle in set(beside):
                 allowed[angle] &= ~near
-        return allowed if allowed.any() else np.ones(shape, bool)
+        return allowed if allowed.any() else room
 
     def _changed(self, failure: _Failure, heightmap: Heightmap) -> bool:
         difference = np.abs(self._patch(heightmap, failure.choice) - failure.height)

@@ -79,6 +79,14 @@ def test_temperature_draws_in_proportion_to_the_softmax(flat: Heightmap) -> None
     assert share == pytest.approx(np.e / (1 + np.e), abs=0.03)
 
 
+@pytest.mark.parametrize(("margin", "expected"), [(0, (0, 20)), (4, (30, 30)), (5, (30, 30))])
+def test_the_margin_along_the_walls_is_never_chosen(flat: Heightmap, margin: int, expected: tuple[int, int]) -> None:
+    maps = np.zeros((16, 40, 40))
+    maps[0, 0, 20], maps[1, 36, 36], maps[2, 30, 30] = 5.0, 4.0, 3.0
+    choice = Policy("suppress", True, margin=margin).choose(maps, flat)
+    assert (choice.row, choice.col) == expected
+
+
 def test_something_is_chosen_even_when_all_has_failed() -> None:
     flat = _heightmap(np.zeros((5, 5)))
     policy = Policy("suppress", True, radius=20)
