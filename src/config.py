@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
+from hydra.utils import get_object
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-LOCAL = ("hydra", "paths", "logger", "trainer", "seed", "force", "figures")
+LOCAL = ("hydra", "paths", "logger", "seed", "force", "figures")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
+LOCAL_TRAINER = ("accelerator", "devices", "logger", "log_every_n_steps", "num_sanity_val_steps")
+"""The same of the trainer's keys, with everything that starts with ``enable_``."""
 HASH_LENGTH = 12
 
 
@@ -164,7 +168,44 @@ def config_hash(cfg: DictConfig) -> str:
         value = cfg[key]
         resolved[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
     resolved["collect"].pop("workers")
+    resolved["trainer"] = relevant_trainer(cfg)
+    if cfg.task.weights:
+        resolved["task"]["weights"] = hashlib.sha256(Path(cfg.task.weights).read_bytes()).hexdigest()
     return content_hash(resolved)
+
+
+def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:
+    """The trainer's keys that can change a result."""
+    return {str(k): v for k, v in cfg.trainer.items() if k not in LOCAL_TRAINER and not str(k).startswith("enable_")}
+
+
+def check_arguments(node: Any, path: str) -> None:
+    """Refuse values of the wrong type, and names that do not exist, for whatever a configuration node builds.
+
+    Schemas of their own would repeat the signatures; so the signature of each ``_target_`` is the schema.
+
+    Raises:
+        ConfigError: With the key, the value and what is expected.
+    """
+    if not isinstance(node, DictConfig):
+        return
+    for key in map(str, node):
+        check_arguments(node[key], f"{path}.{key}")
+    if "_target_" not in node:
+        return
+    parameters = inspect.signature(get_object(node._target_)).parameters
+    for name in map(str, node):
+        value: Any = node[name]
+        if name.startswith("_"):
+            continue
+        if name not in parameters:
+            raise ConfigError(f"{path} has no parameter '{name}': it takes {', '.join(parameters)}")
+        expected = SIMPLE.get(str(parameters[name].annotation))
+        if expected and (not isinstance(value, expected) or (isinstance(value, bool) and bool not in expected)):
+            raise ConfigError(f"{path}.{name}={value} has the wrong type: it must be {parameters[name].annotation}")
+
+
+SIMPLE: dict[str, tuple[type, ...]] = {"int": (int,), "float": (float, int), "bool": (bool,), "str": (str,)}
 
 
 def content_hash(data: object) -> str:
@@ -204,12 +245,23 @@ def validate(cfg: DictConfig) -> None:
     _at_least("threads", cfg.threads, 1)
     for key in ("finetune.updates", "finetune.batch_size", "finetune.episode_attempts", "evaluate.runs"):
         _at_least(key, OmegaConf.select(cfg, key), 1)
+    for key in ("primitive.angles", "model.width", "figures.scenes"):
+        _at_least(key, OmegaConf.select(cfg, key, default=1), 1)
+    room = min(cfg.workspace.width, cfg.workspace.length) / 2 - cfg.workspace.pixel
+    if not 0 <= cfg.primitive.margin < room:
+        raise ConfigError(
+            f"primitive.margin={cfg.primitive.margin} leaves nothing to pick from: it must lie between 0 and {room}"
+        )
+    for key in ("finetune.replay.alpha", "finetune.replay.beta", "finetune.replay.floor", "finetune.weight_decay"):
+        _at_least(key, OmegaConf.select(cfg, key), 0)
     for key in ("pretrain.lr", "finetune.backbone_lr", "finetune.head_lr", "finetune.temperature"):
         _at_least(key, OmegaConf.select(cfg, key), 0)
     for split in ("seen", "unseen"):
         _at_least(f"evaluate.attempts.{split}", cfg.evaluate.attempts.get(split, 0), 1)
     for step in cfg.evaluate.at:
         _at_least("evaluate.at", step, 0)
+    if cfg.task.weights and not cfg.task.label:
+        raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
     if cfg.task.weights and not Path(cfg.task.weights).is_file():
         raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of a run's checkpoints/vision.ckpt")
     if not 0 < cfg.pretrain.validation < 1:

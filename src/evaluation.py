@@ -83,7 +83,7 @@ def _split(
             bar.update()
         successes = sum(a.outcome.success for a in results)
         truths += sum(a.outcome.truth for a in results)
-        runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results)})
+        runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results), "lost": robot.lost})
     successes, attempts = (sum(run[k] for run in runs) for k in ("successes", "attempts"))
     rate = successes / attempts if attempts else 0.0
     return {"successes": successes, "attempts": attempts, "rate": rate, "truth_successes": truths, "runs": runs}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import shutil
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn
 from hydra.errors import HydraException
@@ -18,7 +20,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from see2act.config import ConfigError, illegal_cell, register, validate
+from see2act.config import ConfigError, check_arguments, config_hash, illegal_cell, register, validate
 
 log = logging.getLogger("see2act")
 FLAGS = (
@@ -87,6 +89,7 @@ def _check(overrides: list[str]) -> None:
     _check_parts(plain)
     _check_writable(folder)
     _check_writable(Path(plain.paths.cache))
+    refuse_foreign(folder, plain)
 
 
 def _one_line(error: Exception) -> str:
@@ -104,11 +107,14 @@ def _check_parts(cfg: DictConfig) -> None:
     from see2act import build
     from see2act.robot.types import RobotError
 
+    for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
+        check_arguments(cfg[group], group)
     try:
         instantiate(cfg.workspace)
         instantiate(cfg.camera, _convert_="all")
         instantiate(cfg.objects, _convert_="all")
         build.policy(cfg)
+        build.robot_factory(cfg, cfg.primitive)().close()
     except (RobotError, HydraException) as error:
         cause = error.__cause__ or error
         raise ConfigError(" ".join(str(cause).split())) from None
@@ -135,17 +141,50 @@ def _hydra_main(cfg: DictConfig) -> float | None:
     try:
         validate(cfg)
         _check_parts(cfg)
+        return run(cfg, folder)
     except ConfigError as error:
         if sweep:
-            raise
+            raise  # one job that fails must not end the others
         sys.exit(f"see2act: {error}")
-    return run(cfg, folder)
+
+
+def identity(cfg: DictConfig) -> dict[str, Any]:
+    """What ``run.json`` says of a run's folder: only the same configuration may finish or continue it."""
+    return {"config_hash": config_hash(cfg), "seed": cfg.seed}
+
+
+def refuse_foreign(folder: Path, cfg: DictConfig) -> None:
+    """Refuse a folder that holds another run.
+
+    Raises:
+        ConfigError: It does.
+    """
+    note = folder / "run.json"
+    known = json.loads(note.read_text()) if note.exists() else None
+    used = known or any((folder / name).exists() for name in ("result.json", "attempts.csv"))
+    if used and known != identity(cfg):
+        raise ConfigError(f"{folder} holds a run of another configuration: choose another hydra.run.dir=, or move it away")
 
 
 def run(cfg: DictConfig, folder: Path) -> float:
-    """One run in ``folder``: skipped if finished, continued if cut short; the final success rate on unseen objects."""
-    import json
+    """One run in ``folder``: skipped if finished, continued if cut short.
 
+    Returns:
+        The final success rate on unseen objects.
+
+    Raises:
+        ConfigError: The folder holds another run, another process works in it, or given weights do not fit.
+    """
+    refuse_foreign(folder, cfg)
+    lock = FileLock(folder / ".lock")
+    try:
+        with lock.acquire(timeout=0):
+            return _run_alone(cfg, folder)
+    except Timeout:
+        raise ConfigError(f"another process is at work in {folder}: wait for it to end") from None
+
+
+def _run_alone(cfg: DictConfig, folder: Path) -> float:
     result = folder / "result.json"
     if result.exists() and cfg.force:
         aside = folder.with_name(f"{folder.name}.{time.strftime('%Y%m%d-%H%M%S', time.gmtime(result.stat().st_mtime))}")
@@ -156,26 +195,25 @@ def run(cfg: DictConfig, folder: Path) -> float:
         return float(json.loads(result.read_text())["eval"]["unseen"]["rate"])
     # Imported late: torch and lightning take seconds, which --help should not.
     import torch
+    from see2act.files import write_json
     from see2act.modules.transfer import TransferError
     from see2act.pipeline import Run
     from see2act.quiet import quiet
 
     quiet()
     torch.set_num_threads(cfg.threads)
+    write_json(folder / "run.json", identity(cfg))
     try:
         outcome = Run(cfg, folder)()
     except TransferError as error:
-        sys.exit(f"see2act: {error}")
+        raise ConfigError(str(error)) from None
     _report(outcome, folder)
     return float(outcome["eval"]["unseen"]["rate"])
 
 
 def _move_aside(folder: Path, aside: Path) -> None:
-    aside.mkdir(parents=True)
-    shutil.copytree(folder / ".hydra", aside / ".hydra")  # Hydra has written this run's already
-    for item in folder.iterdir():
-        if item.name != ".hydra":
-            item.rename(aside / item.name)
+    folder.rename(aside)  # in one step: half a run is never left behind
+    shutil.copytree(aside / ".hydra", folder / ".hydra")  # Hydra has written this run's already
 
 
 def _report(result: dict[str, Any], folder: Path) -> None:

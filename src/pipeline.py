@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from see2act import build, figures
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, once
-from see2act.config import config_hash, content_hash
+from see2act.config import config_hash, content_hash, relevant_trainer
 from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
 from see2act.datamodules.replay import Replay
@@ -109,19 +109,18 @@ class Run:
         """The vision model's checkpoint: given, from the cache or trained now; None for ``task=none``."""
         cfg = self.cfg
         if cfg.task.weights:
-            return self._weights(cfg.task.weights)
+            return self._keep_vision(self._weights(cfg.task.weights))
         if cfg.task.label is None:
             return None
         keys = {"collection": self._collection_key(), **_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
-        keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py")
+        keys["trainer"] = relevant_trainer(cfg)
+        keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py", "pipeline.py", "seeding.py")
         path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
         checkpoint = self._weights(path)
-        with replacing(self.checkpoints / "vision.ckpt") as partial:
-            torch.save(checkpoint, partial)
         log.info("pretrain: %.1f %% of the pixels are positive", 100 * checkpoint["positive_share"])
-        return checkpoint
+        return self._keep_vision(checkpoint)
 
     def transfer(self, collection: Collection, vision: dict[str, Any] | None) -> tuple[AffordanceModule, TransferReport]:
         """The affordance model before its first attempt."""
@@ -155,9 +154,12 @@ class Run:
         self.progress.drop([f"eval_{step}" for step in steps if step > done and not final])
         self._attempts = AttemptsCsv(self.folder / "attempts.csv", lambda row: self._keep(row, done))
         self._evaluate_at(module, 0)
-        if self.attempts and not final:
-            self._fit(module, resumed and last, steps)
-        elif self.attempts:
+        if not self.attempts:
+            with replacing(self.checkpoints / "affordance.ckpt") as partial:
+                torch.save({"state_dict": module.state_dict()}, partial)
+        elif not final:
+            self._fit(module, last if resumed else None, steps)
+        else:
             module.load_state_dict(torch.load(self.checkpoints / "affordance.ckpt", weights_only=True)["state_dict"])
 
     def figures(
@@ -178,6 +180,11 @@ class Run:
             figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, self._title(), out)
         finally:
             robot.close()
+
+    def _keep_vision(self, checkpoint: dict[str, Any]) -> dict[str, Any]:
+        with replacing(self.checkpoints / "vision.ckpt") as partial:
+            torch.save(checkpoint, partial)
+        return checkpoint
 
     def _weights(self, path: Path | str) -> dict[str, Any]:
         try:
@@ -330,7 +337,8 @@ class Run:
         keys = _plain(self.cfg, "collect", "robot", "workspace", "camera", "objects")
         keys["collect"].pop("workers")
         keys["collect"]["primitive"] = keys["collect"]["primitive"]["end_effector"]
-        keys["code"] = code_hash("robot", "datamodules/collect.py")
+        keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")
+        keys["versions"] = versions()
         return content_hash(keys)
 
     def _title(self) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import expit
 from see2act.robot.types import Heightmap
 
 
@@ -22,7 +23,7 @@ class Choice:
     @property
     def score(self) -> float:
         """Predicted probability of success."""
-        return float(1 / (1 + np.exp(-self.logit)))
+        return float(expit(self.logit))
 
 
 @dataclass
@@ -75,14 +76,20 @@ class Policy:
         temperature: float = 0.0,
         rng: np.random.Generator | None = None,
     ) -> Choice:
-        """The best allowed pixel, or with a ``temperature`` one drawn from the softmax of logits / temperature."""
+        """The best allowed pixel, or with a ``temperature`` one drawn from the softmax of scores / temperature.
+
+        Scores, not logits: where the model expects success somewhere the draw is close to the best, and where it
+        expects failure everywhere the draw is close to uniform, so that a model which has met nothing but failure
+        looks elsewhere.
+        """
         allowed = self._allowed(logits.shape, heightmap)
         masked = np.where(allowed, logits, -np.inf)
         best = int(masked.argmax())
         index = best
         if temperature > 0:
             assert rng is not None, "exploring needs a generator"
-            weights = np.exp((masked.ravel() - masked.ravel()[best]).astype(np.float64) / temperature)
+            scores = np.where(allowed, expit(logits.astype(np.float64)), -np.inf).ravel()
+            weights = np.exp((scores - scores.max()) / temperature)
             cumulative = np.cumsum(weights)
             index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
         angle, row, col = (int(i) for i in np.unravel_index(index, logits.shape))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import logit
 from see2act.policy import Policy
 from see2act.robot.types import Heightmap
 
@@ -72,11 +73,19 @@ def test_success_clears_the_memory(flat: Heightmap, logits: np.ndarray) -> None:
 
 def test_temperature_draws_in_proportion_to_the_softmax(flat: Heightmap) -> None:
     maps = np.full((1, 40, 40), -50.0)
-    maps[0, 1, 1], maps[0, 30, 30] = 1.0, 0.0
+    maps[0, 1, 1], maps[0, 30, 30] = logit(0.9), logit(0.88)
     rng = np.random.default_rng(0)
-    draws = [Policy("suppress", True).choose(maps, flat, 1.0, rng) for _ in range(2000)]
+    draws = [Policy("suppress", True).choose(maps, flat, 0.02, rng) for _ in range(2000)]
     share = np.mean([not choice.explored for choice in draws])
     assert share == pytest.approx(np.e / (1 + np.e), abs=0.03)
+
+
+def test_a_model_that_expects_only_failure_looks_everywhere(flat: Heightmap) -> None:
+    maps = np.full((1, 40, 40), -12.0)
+    maps[0, :, 20] = -6.0
+    rng = np.random.default_rng(0)
+    draws = [Policy("suppress", True).choose(maps, flat, 0.02, rng).col for _ in range(400)]
+    assert np.mean(np.array(draws) == 20) < 0.1
 
 
 @pytest.mark.parametrize(("margin", "expected"), [(0, (0, 20)), (4, (30, 30)), (5, (30, 30))])

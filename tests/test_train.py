@@ -68,7 +68,7 @@ def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
             part = result[name][split]
             assert part["attempts"] == 2
             assert part["rate"] == part["successes"] / part["attempts"]
-            assert [set(r) for r in part["runs"]] == [{"scene_seed", "successes", "attempts"}]
+            assert [set(r) for r in part["runs"]] == [{"scene_seed", "successes", "attempts", "lost"}]
     assert [e["step"] for e in result["evals"]] == [0, 6]
     assert result["evals"][0]["seen"] == result["zero_shot"]["seen"]
     assert [(c["step"], c["attempts"]) for c in result["curve"]] == [(6, 6)]

@@ -30,7 +30,7 @@ class InteractiveDataModule(L.LightningDataModule):
         seed: The run's seed; scenes and exploration follow from it.
         batch_size: Transitions a learning step.
         updates: Learning steps after each attempt.
-        temperature: Of the softmax that picks are drawn from, in logits; 0 takes the best.
+        temperature: Of the softmax over scores that picks are drawn from; 0 takes the best.
         episode_attempts: Attempts after which a bin that is not yet empty is given up.
     """
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from see2act.robot.simulation import TIMESTEP, Simulation
+from see2act.robot.types import RobotError
 from ur_analytic_ik import ur5
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
@@ -49,7 +50,7 @@ class Arm:
         """Time that all motion so far would take on a real arm at the configured speeds."""
         home = self.solve(np.array(config.home), HOME_ANGLE)
         if home is None:
-            raise ValueError(f"robot.arm.home={config.home} is out of the arm's reach: move it nearer to the base")
+            raise RobotError(f"robot.arm.home={config.home} is out of the arm's reach: move it nearer to the base")
         self._home = home
 
     def load(self) -> None:

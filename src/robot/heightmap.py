@@ -10,6 +10,8 @@ from see2act.robot.workspace import Workspace
 
 CRACK = 2.0
 """Holes within this many pixels of a reading are cracks between samples and take the nearest value."""
+WALL = 0.002
+"""Points nearer than this to the workspace's border, in metres, are of the bin's wall, moved inside by noise."""
 FLOOR = 0.01
 """Readings lower than this, in metres, are of the floor."""
 
@@ -42,12 +44,12 @@ def highest(
     """
     flat = points.reshape(-1, 3)
     rows, cols = workspace.to_pixel(flat[:, 0], flat[:, 1])
-    height, width = workspace.shape
-    inside = seen.ravel() & (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
-    index = np.flatnonzero(inside)
+    _, width = workspace.shape
+    inside = (np.abs(flat[:, 0]) < workspace.width / 2 - WALL) & (np.abs(flat[:, 1]) < workspace.length / 2 - WALL)
+    index = np.flatnonzero(seen.ravel() & inside)
     order = index[np.argsort(flat[index, 2], kind="stable")]
     cell = rows[order] * width + cols[order]
-    winner = np.full(height * width, -1)
+    winner = np.full(workspace.shape[0] * width, -1)
     winner[cell] = order  # the last write wins, and the highest point comes last
     cells = np.flatnonzero(winner >= 0)
     return cells // width, cells % width, winner[cells]

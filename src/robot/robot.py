@@ -33,6 +33,8 @@ class Robot(ABC):
 
     workspace: Workspace
     primitive: str
+    lost: int = 0
+    """Objects that left the bin since the last reset without having been picked."""
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split) -> None:
@@ -100,11 +102,6 @@ class SimulatedRobot(Robot):
         """Scenes that would not settle and were rebuilt from the next sub-seed."""
 
     @property
-    def lost(self) -> int:
-        """Objects that left the bin since the last reset."""
-        return self._scene.lost
-
-    @property
     def objects_left(self) -> int:
         """Objects in the bin."""
         return len(self._scene.bodies)
@@ -114,6 +111,7 @@ class SimulatedRobot(Robot):
         for attempt in range(REBUILDS):
             rng = generator("scene", scene_seed, attempt)
             self._build()
+            self.lost = 0
             if self._scene.drop(rng, split, count):
                 break
             self.rebuilds += 1
@@ -174,6 +172,7 @@ class SimulatedRobot(Robot):
         arm.home()
         self._scene.settle()
         self._scene.clear_lost()
+        self.lost = self._scene.lost
         return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self._simulation.steps - steps)
 
     def bin_empty(self) -> bool:

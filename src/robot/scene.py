@@ -23,7 +23,7 @@ class BinConfig:
     Args:
         wall_height: Metres.
         wall_thickness: Metres.
-        margin: Metres between the walls and the area that objects are dropped into.
+        margin: Metres between the walls and the guides that hold falling objects together.
         drop_height: Metres above the floor from which objects fall.
         settle_steps: Most timesteps to wait for rest after a reset.
         rest_steps: The same after an attempt.

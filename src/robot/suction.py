@@ -14,8 +14,8 @@ from see2act.robot.types import Cause, Pick
 RIM_RAYS = 16
 ANCHORS = 4
 """Points of the rim that pull on the object; together they carry force and moment."""
-RAYS_ONLY, EVERYTHING = 1, 2
-"""Collision groups: the cup leaves the first, so that rays from inside it see past it."""
+MOVING_AND_STATIC, CUP = 3, 64
+"""Collision groups: Bullet's own two, and one for the cup alone, so that rays from inside it see past it."""
 
 
 class SuctionCup(EndEffector):
@@ -80,7 +80,7 @@ class SuctionCup(EndEffector):
         self._pressure = self._before = 0.0
         client = simulation.client
         client.changeDynamics(arm.body, self._cup, lateralFriction=0.9)
-        client.setCollisionFilterGroupMask(arm.body, self._cup, EVERYTHING, -1)
+        client.setCollisionFilterGroupMask(arm.body, self._cup, CUP, -1)
         client.setJointMotorControl2(
             arm.body, arm.joint_index["cup_joint"], client.POSITION_CONTROL, 0.0, force=self._stiffness, maxVelocity=0.5
         )
@@ -131,7 +131,7 @@ class SuctionCup(EndEffector):
         rim = self._rim(RIM_RAYS)
         starts = (rim - [0, 0, 0.006]) @ rotation.T + position
         ends = (rim + [0, 0, 0.012]) @ rotation.T + position
-        hits = client.rayTestBatch(starts.tolist(), ends.tolist(), collisionFilterMask=RAYS_ONLY)
+        hits = client.rayTestBatch(starts.tolist(), ends.tolist(), collisionFilterMask=MOVING_AND_STATIC)
         bodies = {hit[0] for hit in hits}
         if len(bodies) != 1 or bodies & {-1, self._arm.body}:
             return None, 0.0

@@ -18,8 +18,13 @@ def robot(make_robot: Callable[..., SimulatedRobot]) -> SimulatedRobot:
 
 def test_the_floor_of_the_empty_bin_is_at_zero(robot: SimulatedRobot) -> None:
     background = robot.background()
-    inner = background.height[20:-20, 20:-20]
-    assert np.abs(inner).max() < 1e-5
+    assert np.abs(background.height[20:-20, 20:-20]).max() < 1e-5
+
+
+def test_the_walls_are_not_in_the_heightmap(robot: SimulatedRobot) -> None:
+    robot._build()
+    robot._noise = np.random.default_rng(0)
+    assert (robot.observe().heightmap.height > 0.01).mean() < 0.002
 
 
 def test_a_box_appears_where_it_stands(robot: SimulatedRobot) -> None:
