@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from see2act.config import ConfigError, config_hash, illegal_cell, validate
-from see2act.main import _check, _move_aside
+from see2act.main import _check, _move_aside, identity, refuse_foreign
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 TASKS = ("none", "edge", "corner", "center", "foreground", "normal")
@@ -42,7 +43,14 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
     assert len(base) == 12
     for same in ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true"):
         assert config_hash(config(same)) == base
-    for other in ("task=corner", "model.width=8", "finetune.updates=5", "policy=argmax", "collect.interactions=301"):
+    for other in (
+        "task=corner",
+        "model.width=8",
+        "finetune.updates=5",
+        "policy=argmax",
+        "collect.interactions=301",
+        "+trainer.gradient_clip_val=1.0",
+    ):
         assert config_hash(config(other)) != base
 
 
@@ -64,6 +72,14 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("collect.interactions=5", ["collect.interactions=5", "batch_size"]),
         ("objects.scale=[1.0,4.0]", ["does not fit the gripper"]),
         ("workspace.pixel=0", ["must be positive"]),
+        ("primitive.margin=0.2", ["primitive.margin=0.2", "between 0 and"]),
+        ("policy.radius=big", ["policy.radius=big", "must be int"]),
+        ("model.width=0", ["model.width=0", "at least 1"]),
+        ("camera.width=wide", ["camera.width=wide", "must be int"]),
+        ("task.label.low=x", ["task.label.low=x", "must be float"]),
+        ("+task.label.lower=3", ["no parameter 'lower'"]),
+        ("robot.arm.home=[2,0,0.5]", ["robot.arm.home", "out of the arm's reach"]),
+        ("task.weights=nowhere.ckpt", ["nowhere.ckpt", "no file"]),
         ("evaluate.runs=0", ["evaluate.runs=0"]),
     ],
 )
@@ -92,6 +108,20 @@ def test_a_refusal_ends_the_program_without_work(tmp_path: Path) -> None:
     assert done.stderr.strip().count("\n") == 0
     assert "choose from" in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_another_run_is_refused(config: Callable, tmp_path: Path) -> None:
+    cfg = config("seed=1")
+    refuse_foreign(tmp_path, cfg)
+    (tmp_path / "run.json").write_text(json.dumps(identity(cfg)))
+    refuse_foreign(tmp_path, cfg)
+    for other in (("seed=2",), ("seed=1", "task=normal")):
+        with pytest.raises(ConfigError, match=r"holds a run of another configuration.*hydra\.run\.dir="):
+            refuse_foreign(tmp_path, config(*other))
+    (tmp_path / "run.json").unlink()
+    (tmp_path / "result.json").write_text("{}")
+    with pytest.raises(ConfigError, match="another configuration"):
+        refuse_foreign(tmp_path, cfg)
 
 
 def test_force_keeps_the_earlier_run(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 TINY = (
@@ -43,18 +44,13 @@ def _rows(folder: Path) -> list[dict[str, str]]:
         return [{k: v for k, v in row.items() if not k.startswith("t_")} for row in csv.DictReader(file)]
 
 
+RUN = ("task=foreground", "primitive=grasp", "finetune.attempts=6", "finetune.episode_attempts=3")
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("runs") / "first"
-    out = _train(
-        folder,
-        cache,
-        "logger=wandb",
-        "task=foreground",
-        "primitive=grasp",
-        "finetune.attempts=6",
-        "finetune.episode_attempts=3",
-    )
+    out = _train(folder, cache, "logger=wandb", *RUN)
     return folder, out
 
 
@@ -92,7 +88,7 @@ def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
 def test_a_finished_run_is_not_repeated(run: tuple[Path, str], cache: Path) -> None:
     folder, _ = run
     before = (folder / "result.json").stat().st_mtime_ns
-    out = _train(folder, cache, "logger=none", "task=foreground", "primitive=grasp")
+    out = _train(folder, cache, "logger=none", *RUN)
     assert "finished already" in out
     assert (folder / "result.json").stat().st_mtime_ns == before
 
@@ -132,6 +128,21 @@ def test_a_vision_model_of_another_width_is_refused_before_any_work(run: tuple[P
         assert not (tmp_path / "cache").exists()
 
 
+def test_priorities_follow_predictions(run: tuple[Path, str]) -> None:
+    checkpoint = torch.load(run[0] / "checkpoints" / "last.ckpt", weights_only=True)
+    state = checkpoint["InteractiveDataModule"]
+    assert state["attempts"] == len(state["replay"]["label"]) == 6
+    assert len(set(state["replay"]["priority"])) > 3
+
+
+def test_a_run_does_not_continue_another(run: tuple[Path, str], cache: Path) -> None:
+    command = _command(run[0], cache, "logger=none", *RUN, "seed=5")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=run[0].parent)
+    assert done.returncode == 1
+    assert "holds a run of another configuration" in done.stderr
+    assert done.stderr.strip().count("\n") == 0
+
+
 def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
     _train(tmp_path / "none", cache, "logger=csv", "task=none", "transfer=none", "finetune.attempts=2")
     assert not json.loads((tmp_path / "none" / "transfer.json").read_text())["copied"]
@@ -141,6 +152,7 @@ def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
     assert result["eval"]["repeated"] is True
     assert result["eval"]["seen"] == result["zero_shot"]["seen"]
     assert [e["step"] for e in result["evals"]] == [0]
+    assert {p.name for p in (tmp_path / "fixed" / "checkpoints").iterdir()} == {"vision.ckpt", "affordance.ckpt"}
     assert result["curve"] == []
 
 

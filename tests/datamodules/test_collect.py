@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from see2act import build
+from see2act.datamodules.collect import ARRAYS, Collection, collect
+from see2act.datamodules.vision import channel_statistics
+
+
+@pytest.fixture(scope="module")
+def collections(config: Callable) -> list[Collection]:
+    """The same collection by one worker and by two."""
+    cfg = config()
+    factory = build.robot_factory(cfg, cfg.collect.primitive)
+    return [collect(factory, 5, 2, 10, seed=3, workers=workers) for workers in (1, 2)]
+
+
+@pytest.mark.slow
+def test_the_number_of_workers_changes_nothing(collections: list[Collection]) -> None:
+    first, second = collections
+    assert len(first) == 5
+    for name in ARRAYS:
+        assert np.array_equal(first.arrays[name], second.arrays[name]), name
+
+
+@pytest.mark.slow
+def test_sensed_heights_are_noisy_and_true_ones_are_not(collections: list[Collection]) -> None:
+    arrays = collections[0].arrays
+    floor = (arrays["body"] < 0) & (arrays["clean_height"] < 0.005) & arrays["valid"] & arrays["clean_valid"]
+    assert arrays["clean_height"][floor].std() < 2e-4
+    assert 2e-4 < arrays["height"][floor].std() < 2e-3
+
+
+@pytest.mark.slow
+def test_save_and_load(collections: list[Collection], tmp_path: Path) -> None:
+    collections[0].save(tmp_path / "c.npz")
+    loaded = Collection.load(tmp_path / "c.npz")
+    assert all(np.array_equal(loaded.arrays[name], collections[0].arrays[name]) for name in ARRAYS)
+    assert np.array_equal(loaded.background.height, collections[0].background.height)
+    assert [p.name for p in tmp_path.iterdir()] == ["c.npz"]
+
+
+@pytest.mark.slow
+def test_statistics_are_those_of_the_channels(collections: list[Collection]) -> None:
+    mean, std = channel_statistics(collections[0])
+    height = collections[0].arrays["height"]
+    assert mean[3].item() == pytest.approx(height.mean(), rel=1e-3)
+    assert std[3].item() == pytest.approx(height.std(), rel=1e-3)
+    assert (mean[:3] > 0.1).all()
+    assert (mean[:3] < 0.9).all()
