@@ -202,11 +202,13 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float:
 
     quiet()
     torch.set_num_threads(cfg.threads)
-    write_json(folder / "run.json", identity(cfg))
+    job = Run(cfg, folder)
     try:
-        outcome = Run(cfg, folder)()
+        job.check_weights()
     except TransferError as error:
         raise ConfigError(str(error)) from None
+    write_json(folder / "run.json", identity(cfg))  # only now: a refused run must not keep the folder to itself
+    outcome = job()
     _report(outcome, folder)
     return float(outcome["eval"]["unseen"]["rate"])
 

@@ -60,7 +60,6 @@ class Run:
 
     def __call__(self) -> dict[str, Any]:
         """All stages in order; the contents of ``result.json``."""
-        self.check_weights()
         with self._timed("collect"):
             collection = self.collect()
         with self._timed("pretrain"):
