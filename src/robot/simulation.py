@@ -2,8 +2,27 @@
 
 from __future__ import annotations
 
-import pybullet
-from pybullet_utils.bullet_client import BulletClient
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """PyBullet writes its build time to the terminal on import; what we say there should be all there is."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+with _quiet_stderr():
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
 
 TIMESTEP = 1 / 240
 """Seconds of simulated time per step: Bullet's default, which its contact solver is tuned for."""
