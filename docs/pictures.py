@@ -25,11 +25,11 @@ def robot_over_bin(primitive: str) -> np.ndarray:
     heightmap = robot.observe().heightmap
     row, col = np.unravel_index(np.argmax(heightmap.height[20:-20, 20:-20]), (104, 104))
     pick = robot.workspace.pick(heightmap, int(row) + 20, int(col) + 20, np.pi / 4)
-    at = np.array([pick.x, pick.y, pick.z + robot._tool.length() + 0.02])
-    joints = robot._arm.solve(at, pick.angle)
+    at = np.array([pick.x, pick.y, pick.z + robot.tool.length() + 0.02])
+    joints = robot.arm.solve(at, pick.angle)
     assert joints is not None
-    robot._arm.teleport(joints)
-    color, _, _ = VIEW.render(robot._simulation)
+    robot.arm.teleport(joints)
+    color, _, _ = VIEW.render(robot.simulation)
     robot.close()
     return color
 

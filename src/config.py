@@ -168,6 +168,7 @@ def config_hash(cfg: DictConfig) -> str:
         value = cfg[key]
         resolved[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
     resolved["collect"].pop("workers")
+    resolved["robot"].pop("video", None)
     resolved["trainer"] = relevant_trainer(cfg)
     if cfg.task.weights and Path(cfg.task.weights).is_file():
         resolved["task"]["weights"] = hashlib.sha256(Path(cfg.task.weights).read_bytes()).hexdigest()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,17 +73,25 @@ def _split(
 ) -> dict[str, Any]:
     runs, truths = [], 0
     for run in range(protocol.runs):
-        seed = scene_seed(split, run)
-        robot.reset(seed, split)
-        rule = policy.fresh()
-        results: list[Attempt] = []
-        while len(results) < protocol.attempts[split] and not robot.bin_empty():
-            results.append(attempt(robot, affordances, rule))
-            record(results[-1], split=split, policy=rule.name, run=run, episode=run, scene_seed=seed)
+        seed, results = scene_seed(split, run), []
+        for done in one_test_run(robot, affordances, policy.fresh(), seed, split, protocol.attempts[split]):
+            record(done, split=split, policy=policy.name, run=run, episode=run, scene_seed=seed)
+            results.append(done.outcome)
             bar.update()
-        successes = sum(a.outcome.success for a in results)
-        truths += sum(a.outcome.truth for a in results)
+        successes = sum(outcome.success for outcome in results)
+        truths += sum(outcome.truth for outcome in results)
         runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results), "lost": robot.lost})
     successes, attempts = (sum(run[k] for run in runs) for k in ("successes", "attempts"))
     rate = successes / attempts if attempts else 0.0
     return {"successes": successes, "attempts": attempts, "rate": rate, "truth_successes": truths, "runs": runs}
+
+
+def one_test_run(
+    robot: Robot, affordances: Affordances, policy: Policy, seed: int, split: Split, attempts: int
+) -> Iterator[Attempt]:
+    """One test run on the scene of ``seed``: attempts until the bin is truly empty or ``attempts`` are spent."""
+    robot.reset(seed, split)
+    for _ in range(attempts):
+        if robot.bin_empty():
+            return
+        yield attempt(robot, affordances, policy)

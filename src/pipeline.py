@@ -7,7 +7,7 @@ import logging
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -274,15 +274,17 @@ class Run:
             return
         where = {"phase": phase, "step": step, "primitive": self.cfg.primitive.name}
         robot = build.robot_factory(self.cfg, self.cfg.primitive)()
+        last = name == f"eval_{self.attempts}"
         try:
-            result = evaluate(
-                robot,
-                module.affordances,
-                policy,
-                self.protocol,
-                lambda attempt, **more: self._attempts.append(attempt, **where, **more),
-                title=f"evaluate at {step} ({policy.name})",
-            )
+            with robot.film(self.folder / "video.mp4") if last else nullcontext():
+                result = evaluate(
+                    robot,
+                    module.affordances,
+                    policy,
+                    self.protocol,
+                    lambda attempt, **more: self._attempts.append(attempt, **where, **more),
+                    title=f"evaluate at {step} ({policy.name})",
+                )
         finally:
             robot.close()
         self.progress.set(name, result)
@@ -335,6 +337,7 @@ class Run:
     def _collection_key(self) -> str:
         keys = _plain(self.cfg, "collect", "robot", "workspace", "camera", "objects")
         keys["collect"].pop("workers")
+        keys["robot"].pop("video", None)
         keys["collect"]["primitive"] = keys["collect"]["primitive"]["end_effector"]
         keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")
         keys["versions"] = versions()

@@ -26,6 +26,10 @@ class DepthNoise:
         blur: Pixels over which the error is correlated, as block matching makes it.
         edge_loss: Depth jump in metres to a neighbour beyond which a pixel may lose its reading.
         edge_rate: Probability that it does.
+        grazing: Radians between a ray and the surface's normal beyond which a pixel may lose its reading. The error of
+            such readings grows as 1 / (pi / 2 - angle)^2 (Nguyen, Izadi and Lovell 2012, whose model passes 8 mm at 80
+            degrees), and block matching rejects them.
+        grazing_rate: Probability that it does.
     """
 
     baseline: float = 0.055
@@ -35,9 +39,19 @@ class DepthNoise:
     blur: float = 1.0
     edge_loss: float = 0.02
     edge_rate: float = 0.5
+    grazing: float = 1.4
+    grazing_rate: float = 0.8
 
-    def __call__(self, depth: Float[np.ndarray, "h w"], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-        """Sensed depth in metres, 0 where there is no reading."""
+    def __call__(
+        self, depth: Float[np.ndarray, "h w"], incidence: Float[np.ndarray, "h w"], rng: np.random.Generator
+    ) -> Float[np.ndarray, "h w"]:
+        """Sensed depth in metres, 0 where there is no reading.
+
+        Args:
+            depth: Exact, metres.
+            incidence: Radians between each pixel's ray and the normal of what it sees.
+            rng: Decides everything random here.
+        """
         noise: np.ndarray = rng.normal(size=depth.shape).astype(np.float32)
         if self.blur > 0:
             noise = cv2.GaussianBlur(noise, (0, 0), self.blur)
@@ -48,6 +62,7 @@ class DepthNoise:
         kernel = np.ones((3, 3), np.uint8)
         jump = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel)
         sensed[(jump > self.edge_loss) & (rng.random(depth.shape) < self.edge_rate)] = 0
+        sensed[(incidence > self.grazing) & (rng.random(depth.shape) < self.grazing_rate)] = 0
         return sensed
 
 
@@ -92,6 +107,20 @@ class Camera:
         pose[:3, 3] = self.position
         return pose
 
+    def sense(self, depth: Float[np.ndarray, "h w"], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
+        """Depth in metres as the sensor reports it, 0 where it has no reading."""
+        return self.noise(depth, self.incidence(depth), rng)
+
+    def incidence(self, depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """Radians between each pixel's ray and the normal of the surface it sees."""
+        dv, du = _slope(depth, 0), _slope(depth, 1)
+        v, u = np.indices(depth.shape) + 0.5
+        x, y = u - self.intrinsics[0, 2], v - self.intrinsics[1, 2]
+        # With the ray (x, y, f) / f and the normal (-f du, -f dv, z + x du + y dv) their product is z.
+        normal = np.sqrt((self.focal * du) ** 2 + (self.focal * dv) ** 2 + (depth + x * du + y * dv) ** 2)
+        ray = np.sqrt(x**2 + y**2 + self.focal**2) / self.focal
+        return np.arccos((depth / (normal * ray)).clip(0, 1))
+
     def render(
         self, simulation: Simulation
     ) -> tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
@@ -114,6 +143,14 @@ class Camera:
             *(0, 0, -(FAR + NEAR) / (FAR - NEAR), -1),
             *(0, 0, -2 * FAR * NEAR / (FAR - NEAR), 0),
         ]
+
+
+def _slope(depth: np.ndarray, axis: int) -> np.ndarray:
+    """Change per pixel along an axis, to the neighbour where it is smaller: at a depth edge, that on the same surface."""
+    steps = np.diff(depth, axis=axis)
+    before = np.concatenate([np.take(steps, [0], axis), steps], axis)
+    after = np.concatenate([steps, np.take(steps, [-1], axis)], axis)
+    return np.where(np.abs(before) < np.abs(after), before, after)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 
+import numpy as np
 from see2act.robot.arm import Arm
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause, Pick
+from see2act.robot.types import Cause
 
 
 class EndEffector(ABC):
@@ -31,8 +32,8 @@ class EndEffector(ABC):
         """Metres from ``tool0`` to the point that meets the pick."""
 
     @abstractmethod
-    def depth_at(self, pick: Pick) -> float:
-        """World z in metres where that point goes: below the surface by the configured depth, never into the floor."""
+    def depth_at(self, surface: np.ndarray) -> np.ndarray:
+        """World z in metres where that point goes for surface heights: deeper by the configured depth, never into the floor."""
 
     @abstractmethod
     def prepare(self) -> None:

@@ -9,7 +9,7 @@ from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause, Pick
+from see2act.robot.types import Cause
 
 DRIVER = "gripper_finger_joint"
 FOLLOWERS = {
@@ -37,6 +37,12 @@ FLOOR_GAP = 0.002
 def opening(angle: float) -> float:
     """Metres between the pads at a driver joint angle in radians."""
     return float(2 * (PAD_AT_KNUCKLE + CRANK * np.sin(CRANK_OPEN - angle)))
+
+
+def swing(width: np.ndarray) -> np.ndarray:
+    """Metres by which pads at an opening in metres are lower than open ones: they close along an arc."""
+    sine = (width / 2 - PAD_AT_KNUCKLE) / CRANK
+    return CRANK * (np.sqrt(1 - sine.clip(0, np.sin(CRANK_OPEN)) ** 2) - np.cos(CRANK_OPEN))
 
 
 class Gripper(EndEffector):
@@ -68,7 +74,7 @@ class Gripper(EndEffector):
         self._torque = torque
         self._speed = speed
         self._close_steps = close_steps
-        self._threshold = threshold
+        self.threshold = threshold
         self._friction = friction
         self.contact_limit = contact_limit
 
@@ -93,10 +99,8 @@ class Gripper(EndEffector):
     def length(self) -> float:
         return PAD_CENTRE
 
-    def depth_at(self, pick: Pick) -> float:
-        # Closing pads swing along an arc and reach lower than the open ones.
-        swing = CRANK * (1 - np.cos(CRANK_OPEN))
-        return max(pick.z - self._depth, PAD_HALF_HEIGHT + swing + FLOOR_GAP)
+    def depth_at(self, surface: np.ndarray) -> np.ndarray:
+        return np.maximum(surface - self._depth, PAD_HALF_HEIGHT + swing(np.array(0.0)) + FLOOR_GAP)
 
     def prepare(self) -> None:
         self._drive(0.0)
@@ -114,7 +118,7 @@ class Gripper(EndEffector):
         self._arm.wait(self._close_steps, stalled)
 
     def engaged(self) -> bool:
-        return opening(self._angle()) > self._threshold
+        return opening(self._angle()) > self.threshold
 
     def why_failed(self, engaged: bool, blocked: bool) -> Cause:
         return "collision" if blocked else "slipped"
@@ -124,7 +128,7 @@ class Gripper(EndEffector):
 
     def sense(self) -> tuple[float, bool]:
         gap = opening(self._angle())
-        return gap, gap > self._threshold
+        return gap, gap > self.threshold
 
     def release(self) -> None:
         self._drive(0.0)

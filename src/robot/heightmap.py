@@ -12,6 +12,8 @@ CRACK = 2.0
 """Holes within this many pixels of a reading are cracks between samples and take the nearest value."""
 WALL = 0.002
 """Points nearer than this to the workspace's border, in metres, are of the bin's wall, moved inside by noise."""
+CEILING = 0.2
+"""Points higher than this, in metres, are of the robot at home, which a camera above the bin sees at its edge."""
 FLOOR = 0.01
 """Readings lower than this, in metres, are of the floor."""
 
@@ -46,7 +48,7 @@ def highest(
     rows, cols = workspace.to_pixel(flat[:, 0], flat[:, 1])
     _, width = workspace.shape
     inside = (np.abs(flat[:, 0]) < workspace.width / 2 - WALL) & (np.abs(flat[:, 1]) < workspace.length / 2 - WALL)
-    index = np.flatnonzero(seen.ravel() & inside)
+    index = np.flatnonzero(seen.ravel() & inside & (flat[:, 2] < CEILING))
     order = index[np.argsort(flat[index, 2], kind="stable")]
     cell = rows[order] * width + cols[order]
     winner = np.full(workspace.shape[0] * width, -1)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from scipy.spatial import QhullError
 from see2act.robot.types import RobotError, Split
 
 GRIPPER_OPENING = 0.080
@@ -117,6 +118,27 @@ def shape(name: str) -> Shape:
     return Shape(name, tuple(parts))
 
 
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """A mesh file (STL, OBJ, ...).
+
+    Raises:
+        RobotError: It does not exist, cannot be read, or encloses no volume.
+    """
+    if not path.is_file():
+        raise RobotError(f"object file {path} does not exist: run `make install`, or check the path")
+    try:
+        mesh = trimesh.load_mesh(path)
+    except Exception as error:  # trimesh lets through whatever its many readers raise
+        raise RobotError(f"object file {path} is no mesh that trimesh can read: {error}") from None
+    try:
+        volume = mesh.convex_hull.volume
+    except (QhullError, ValueError):  # fewer than four points, or all of them in a plane
+        volume = 0.0
+    if volume <= 0:
+        raise RobotError(f"object file {path} has no volume: an object must be solid")
+    return mesh
+
+
 def _box(x: float, y: float, z: float, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
     return trimesh.creation.box((x, y, z), trimesh.transformations.translation_matrix(at))
 
@@ -137,7 +159,7 @@ def _rgb_object(code: str, scale: float = 1.0) -> list[trimesh.Trimesh]:
     ending = f"/{code}_"
     for file in metadata.files("dm-robotics-manipulation") or []:
         if "rgb_v1.3/meshes" in str(file) and ending in str(file) and str(file).endswith(".stl"):
-            mesh = trimesh.load_mesh(Path(str(file.locate()))).convex_hull
+            mesh = read_mesh(Path(str(file.locate()))).convex_hull
             mesh.apply_scale(scale)
             return [mesh]
     raise RobotError(f"mesh '{code}' is not in the installed package dm-robotics-manipulation: run `make install`")

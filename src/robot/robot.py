@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from see2act.robot import heightmap as hm
@@ -56,6 +58,10 @@ class Robot(ABC):
     def close(self) -> None:
         """Give resources back."""
 
+    def film(self, path: Path) -> AbstractContextManager[None]:
+        """Keep a video of what happens in the block as an MP4 at ``path``, if this robot is set to; by default it is not."""
+        return nullcontext()
+
 
 @dataclass
 class _Contact:
@@ -76,6 +82,7 @@ class SimulatedRobot(Robot):
         arm: The arm's place and speeds.
         bin: The bin's walls and the waiting times.
         clearance: World z in metres of the tool's tip at which free motion ends and the descent begins.
+        video: Whether :meth:`film` records; a frame costs 0.1 s.
     """
 
     def __init__(
@@ -87,16 +94,18 @@ class SimulatedRobot(Robot):
         arm: ArmConfig,
         bin: BinConfig,
         clearance: float,
+        video: bool = False,
     ):
         self.workspace = workspace
         self.primitive = end_effector.primitive
-        self._camera = camera
-        self._tool = end_effector
+        self.camera = camera
+        self.tool = end_effector
         self._config = arm
         self._clearance = clearance
-        self._simulation = Simulation()
-        self._arm = Arm(self._simulation, arm, urdf.mount(urdf.ur5(), end_effector.urdf()))
-        self._scene = Scene(self._simulation, bin, workspace.width, workspace.length, objects)
+        self._video = video
+        self.simulation = Simulation()
+        self.arm = Arm(self.simulation, arm, urdf.mount(urdf.ur5(), end_effector.urdf()))
+        self.scene = Scene(self.simulation, bin, workspace.width, workspace.length, objects)
         self._background: Heightmap | None = None
         self.rebuilds = 0
         """Scenes that would not settle and were rebuilt from the next sub-seed."""
@@ -104,7 +113,7 @@ class SimulatedRobot(Robot):
     @property
     def objects_left(self) -> int:
         """Objects in the bin."""
-        return len(self._scene.bodies)
+        return len(self.scene.bodies)
 
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
         """As promised by :class:`Robot`; ``count`` drops only that many of the scene's objects."""
@@ -112,7 +121,7 @@ class SimulatedRobot(Robot):
             rng = generator("scene", scene_seed, attempt)
             self._build()
             self.lost = 0
-            if self._scene.drop(rng, split, count):
+            if self.scene.drop(rng, split, count):
                 break
             self.rebuilds += 1
         else:
@@ -123,21 +132,21 @@ class SimulatedRobot(Robot):
         """The empty bin, seen once without noise. Clears the scene: call it before :meth:`reset`."""
         if self._background is None:
             self._build()
-            color, depth, _ = self._camera.render(self._simulation)
+            color, depth, _ = self.camera.render(self.simulation)
             self._background = self._heightmap(color, depth)
         return self._background
 
     def observe(self) -> Observation:
-        color, depth, _ = self._camera.render(self._simulation)
-        sensed = self._camera.noise(depth, self._noise)
+        color, depth, _ = self.camera.render(self.simulation)
+        sensed = self.camera.sense(depth, self._noise)
         return Observation(self._heightmap(color, sensed), color, sensed)
 
     def truth(self) -> Truth:
         """What the simulator knows of the present scene."""
-        color, depth, body = self._camera.render(self._simulation)
-        points = hm.point_cloud(depth, self._camera.intrinsics, self._camera.pose)
+        color, depth, body = self.camera.render(self.simulation)
+        points = hm.point_cloud(depth, self.camera.intrinsics, self.camera.pose)
         heightmap = hm.project(color, depth, points, self.workspace)
-        ids = np.where(np.isin(body, [b.id for b in self._scene.bodies]), body, -1)
+        ids = np.where(np.isin(body, [b.id for b in self.scene.bodies]), body, -1)
         rows, cols, index = hm.highest(points, depth > 0, self.workspace)
         cells = np.full(self.workspace.shape, -1)
         cells[rows, cols] = ids.ravel()[index]
@@ -145,9 +154,9 @@ class SimulatedRobot(Robot):
         return Truth(heightmap, np.where(known, cells[source], -1))
 
     def execute(self, pick: Pick) -> Outcome:
-        arm, tool = self._arm, self._tool
-        steps, seconds = self._simulation.steps, arm.seconds
-        before = self._scene.positions()
+        arm, tool = self.arm, self.tool
+        steps, seconds = self.simulation.steps, arm.seconds
+        before = self.scene.positions()
         above, at = self._path(pick)
         down = arm.line(above, at, pick.angle, self._config.tool_speed)
         if down is None:
@@ -168,73 +177,80 @@ class SimulatedRobot(Robot):
         cause = self._cause(success, engaged, blocked, contact)
         tool.release()
         if success:
-            self._scene.remove(held)
+            self.scene.remove(held)
         arm.home()
-        self._scene.settle()
-        self._scene.clear_lost()
-        self.lost = self._scene.lost
-        return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self._simulation.steps - steps)
+        self.scene.settle()
+        self.scene.clear_lost()
+        self.lost = self.scene.lost
+        return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self.simulation.steps - steps)
 
     def bin_empty(self) -> bool:
-        return not self._scene.bodies
+        return not self.scene.bodies
 
     def close(self) -> None:
-        self._simulation.close()
+        self.simulation.close()
+
+    def film(self, path: Path) -> AbstractContextManager[None]:
+        if not self._video:
+            return nullcontext()
+        from see2act.robot.video import film  # imported late: FFmpeg is large, and films are rare
+
+        return film(self.simulation, path)
 
     def _build(self) -> None:
-        self._simulation.clear()
-        self._arm.load()
-        self._tool.bind(self._simulation, self._arm)
-        self._scene.build()
+        self.simulation.clear()
+        self.arm.load()
+        self.tool.bind(self.simulation, self.arm)
+        self.scene.build()
 
     def _heightmap(self, color: np.ndarray, depth: np.ndarray) -> Heightmap:
-        points = hm.point_cloud(depth, self._camera.intrinsics, self._camera.pose)
+        points = hm.point_cloud(depth, self.camera.intrinsics, self.camera.pose)
         return hm.project(color, depth, points, self.workspace)
 
     def _path(self, pick: Pick) -> tuple[np.ndarray, np.ndarray]:
         """World positions of ``tool0`` above the pick and at it."""
-        z = self._tool.depth_at(pick) + self._tool.length()
-        above = max(self._clearance + self._tool.length(), z)
+        z = float(self.tool.depth_at(np.array(pick.z))) + self.tool.length()
+        above = max(self._clearance + self.tool.length(), z)
         return np.array([pick.x, pick.y, above]), np.array([pick.x, pick.y, z])
 
     def _lift(self, pick: Pick) -> None:
-        start = self._arm.commanded_position
-        up = self._arm.line(start, start + [0, 0, LIFT], pick.angle, self._config.tool_speed)
+        start = self.arm.commanded_position
+        up = self.arm.line(start, start + [0, 0, LIFT], pick.angle, self._config.tool_speed)
         assert up is not None, "the lift retraces the reachable descent"
 
         def tend() -> bool:
-            self._tool.update_hold()
+            self.tool.update_hold()
             return False
 
-        self._arm.follow(up, until=tend)
-        self._arm.wait(HOLD_STEPS, until=tend)
+        self.arm.follow(up, until=tend)
+        self.arm.wait(HOLD_STEPS, until=tend)
 
     def _blocked(self, contact: _Contact) -> Callable[[], bool]:
         """After each step of a descent: whether the tool meets more force than it may."""
 
         def blocked() -> bool:
             force = self._note_contact(contact)
-            return force > self._tool.contact_limit
+            return force > self.tool.contact_limit
 
         return blocked
 
     def _note_contact(self, contact: _Contact) -> float:
         """Newtons on the robot; remembers in ``contact`` what it touched."""
-        points = self._simulation.client.getContactPoints(bodyA=self._arm.body)
+        points = self.simulation.client.getContactPoints(bodyA=self.arm.body)
         touched = {point[2] for point in points if point[9] > 0}
-        contact.wall |= not touched.isdisjoint(self._scene.walls)
-        contact.object |= any(body.id in touched for body in self._scene.bodies)
+        contact.wall |= not touched.isdisjoint(self.scene.walls)
+        contact.object |= any(body.id in touched for body in self.scene.bodies)
         return float(sum(point[9] for point in points))
 
     def _held(self, before: dict[int, np.ndarray]) -> set[int]:
         """Objects that rose with the tool, touch it, and touch nothing of the bin."""
-        client = self._simulation.client
+        client = self.simulation.client
         held = set()
-        for body, position in self._scene.positions().items():
+        for body, position in self.scene.positions().items():
             risen = position[2] - before[body][2] > HELD
-            if not risen or not client.getClosestPoints(self._arm.body, body, 0.005):
+            if not risen or not client.getClosestPoints(self.arm.body, body, 0.005):
                 continue
-            if not any(client.getContactPoints(body, b) for b in (self._scene.floor, *self._scene.walls)):
+            if not any(client.getContactPoints(body, b) for b in (self.scene.floor, *self.scene.walls)):
                 held.add(body)
         return held
 
@@ -243,4 +259,4 @@ class SimulatedRobot(Robot):
             return "ok"
         if blocked and contact.wall:
             return "wall"
-        return self._tool.why_failed(engaged, blocked) if contact.object else "missed"
+        return self.tool.why_failed(engaged, blocked) if contact.object else "missed"

@@ -14,6 +14,8 @@ from see2act.robot.types import Split
 
 AT_REST = 0.01
 """m/s. Slower than this an object counts as lying still."""
+TOUCHING = 0.001
+"""Metres between two objects that count as touching."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class BinConfig:
         wall_thickness: Metres.
         margin: Metres between the walls and the guides that hold falling objects together.
         drop_height: Metres above the floor from which objects fall.
+        touching: Least share of a full bin's objects that touch another; a scene more scattered is no clutter.
         settle_steps: Most timesteps to wait for rest after a reset.
         rest_steps: The same after an attempt.
     """
@@ -33,6 +36,7 @@ class BinConfig:
     wall_thickness: float
     margin: float
     drop_height: float
+    touching: float
     settle_steps: int
     rest_steps: int
 
@@ -66,6 +70,7 @@ class Scene:
         self.bodies: list[Body] = []
         self.lost = 0
         """Objects that left the bin since the last reset."""
+        self.wall_height = config.wall_height
 
     def build(self) -> None:
         """Table and empty bin in an empty simulation."""
@@ -80,7 +85,7 @@ class Scene:
         """Let objects fall in one after the other and wait until they lie still; all of them, or only ``count``.
 
         Returns:
-            Whether all of them lie still inside the bin. If not, start over with another generator.
+            Whether all of them lie still inside the bin, and close together. If not, start over with another generator.
         """
         client = self._simulation.client
         area = self._size / 2 - self._config.margin
@@ -97,7 +102,8 @@ class Scene:
         for guide in guides:
             client.removeBody(guide)
         still = self.settle(self._config.settle_steps)
-        return still and all(self._inside(body) for body in self.bodies)
+        cluttered = count is not None or self.touching() >= self._config.touching
+        return still and cluttered and all(self._inside(body) for body in self.bodies)
 
     def settle(self, steps: int | None = None) -> bool:
         """Step until every object lies still, at most ``steps`` times; whether they do."""
@@ -112,6 +118,11 @@ class Scene:
         """Whether every object moves slower than 1 cm/s."""
         velocities = [self._simulation.client.getBaseVelocity(body.id)[0] for body in self.bodies]
         return all(np.linalg.norm(velocity) < AT_REST for velocity in velocities)
+
+    def touching(self) -> float:
+        """Share of the objects that touch another."""
+        near, ids = self._simulation.client.getClosestPoints, [body.id for body in self.bodies]
+        return sum(any(near(a, b, TOUCHING) for b in ids if b != a) for a in ids) / max(len(ids), 1)
 
     def positions(self) -> dict[int, np.ndarray]:
         """World position in metres of each object's centre, by body id."""

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
 
 
 @contextmanager
@@ -28,6 +32,20 @@ TIMESTEP = 1 / 240
 """Seconds of simulated time per step: Bullet's default, which its contact solver is tuned for."""
 GRAVITY = -9.81
 SOLVER_ITERATIONS = 60
+RAYS_AT_ONCE = 8192
+"""In one batch; Bullet drops rays silently near its limit of 16384."""
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Where rays met the first body."""
+
+    body: Int[np.ndarray, " n"]
+    """-1: none."""
+    position: Float[np.ndarray, "n 3"]
+    """World metres; the ray's end where it met nothing."""
+    normal: Float[np.ndarray, "n 3"]
+    """Of the surface; zeros where the ray met nothing."""
 
 
 class Simulation:
@@ -40,6 +58,8 @@ class Simulation:
             )
         self.client = BulletClient(pybullet.DIRECT)
         self.steps = 0
+        self.after_step: Callable[[], None] | None = None
+        """A spectator, called after each step; it must change nothing."""
 
     def clear(self) -> None:
         """Remove everything, so that what follows depends on nothing that was."""
@@ -53,6 +73,23 @@ class Simulation:
         """Advance by one timestep."""
         self.client.stepSimulation()
         self.steps += 1
+        if self.after_step is not None:
+            self.after_step()
+
+    def cast(self, starts: Float[np.ndarray, "n 3"], ends: Float[np.ndarray, "n 3"], groups: int = -1) -> Hits:
+        """Rays between world points, metres.
+
+        Args:
+            starts, ends: Of each ray.
+            groups: Bit mask of the collision groups that rays can meet; all by default.
+        """
+        hits: list[tuple] = []
+        for i in range(0, len(starts), RAYS_AT_ONCE):
+            part = slice(i, i + RAYS_AT_ONCE)
+            hits += self.client.rayTestBatch(starts[part].tolist(), ends[part].tolist(), collisionFilterMask=groups)
+        body = np.array([hit[0] for hit in hits], int)
+        position, normal = (np.array([hit[k] for hit in hits]).reshape(-1, 3) for k in (3, 4))
+        return Hits(body, np.where(body[:, None] < 0, ends, position), normal)
 
     def close(self) -> None:
         """Give the client back; safe to call twice."""

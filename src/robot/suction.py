@@ -9,7 +9,7 @@ from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause, Pick
+from see2act.robot.types import Cause
 
 RIM_RAYS = 16
 ANCHORS = 4
@@ -62,15 +62,15 @@ class SuctionCup(EndEffector):
         contact_limit: float,
     ):
         self._holder_length, self._holder_radius = holder_length, holder_radius
-        self._cup_length, self._cup_radius = cup_length, cup_radius
+        self._cup_length, self.cup_radius = cup_length, cup_radius
         self._travel, self._stiffness, self._press = travel, stiffness, press
-        self._flatness, self._tilt = flatness, tilt
+        self.flatness, self.tilt = flatness, tilt
         self._vacuum, self._leak, self._open = vacuum, leak, open_pressure
         self._threshold, self._peel = threshold, peel
         self.contact_limit = contact_limit
 
     def urdf(self) -> ET.Element:
-        return urdf.suction_tip(self._holder_length, self._holder_radius, self._cup_length, self._cup_radius, self._travel)
+        return urdf.suction_tip(self._holder_length, self._holder_radius, self._cup_length, self.cup_radius, self._travel)
 
     def bind(self, simulation: Simulation, arm: Arm) -> None:
         self._simulation, self._arm = simulation, arm
@@ -88,8 +88,8 @@ class SuctionCup(EndEffector):
     def length(self) -> float:
         return self._holder_length + self._cup_length
 
-    def depth_at(self, pick: Pick) -> float:
-        return max(pick.z - self._press, 0.0)
+    def depth_at(self, surface: np.ndarray) -> np.ndarray:
+        return np.maximum(surface - self._press, 0.0)
 
     def prepare(self) -> None:
         self.release()
@@ -126,30 +126,28 @@ class SuctionCup(EndEffector):
 
     def _touch(self) -> tuple[int | None, float]:
         """The body under the whole rim and the quality of the seal on it, or None."""
-        client = self._simulation.client
         position, rotation = self._cup_frame()
         rim = self._rim(RIM_RAYS)
         starts = (rim - [0, 0, 0.006]) @ rotation.T + position
         ends = (rim + [0, 0, 0.012]) @ rotation.T + position
-        hits = client.rayTestBatch(starts.tolist(), ends.tolist(), collisionFilterMask=MOVING_AND_STATIC)
-        bodies = {hit[0] for hit in hits}
+        hits = self._simulation.cast(starts, ends, MOVING_AND_STATIC)
+        bodies = set(hits.body.tolist())
         if len(bodies) != 1 or bodies & {-1, self._arm.body}:
             return None, 0.0
-        points = np.array([hit[3] for hit in hits])
-        centred = points - points.mean(0)
+        centred = hits.position - hits.position.mean(0)
         normal = np.linalg.svd(centred)[2][2]
         off_plane = float(np.abs(centred @ normal).max())
         tilt = float(np.arccos(min(1.0, abs(normal @ rotation[:, 2]))))
-        if off_plane > self._flatness or tilt > self._tilt:
+        if off_plane > self.flatness or tilt > self.tilt:
             return None, 0.0
-        return bodies.pop(), 1 - self._leak * off_plane / self._flatness
+        return bodies.pop(), 1 - self._leak * off_plane / self.flatness
 
     def _attach(self, body: int) -> None:
         client = self._simulation.client
         position, rotation = self._cup_frame()
         at, turn = client.getBasePositionAndOrientation(body)
         body_rotation = np.array(client.getMatrixFromQuaternion(turn)).reshape(3, 3)
-        force = self._pressure * 1000 * np.pi * self._cup_radius**2
+        force = self._pressure * 1000 * np.pi * self.cup_radius**2
         # A link's constraint frame starts at its centre of mass, half-way up the cup.
         for point in self._rim(ANCHORS):
             on_body = body_rotation.T @ (rotation @ point + position - at)
@@ -182,4 +180,4 @@ class SuctionCup(EndEffector):
     def _rim(self, n: int) -> np.ndarray:
         """``n`` points of the rim in the rim's frame, metres."""
         angles = 2 * np.pi * np.arange(n) / n
-        return self._cup_radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
+        return self.cup_radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])

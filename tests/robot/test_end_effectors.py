@@ -25,9 +25,9 @@ def _place(robot: SimulatedRobot, name: str, at: tuple[float, float, float], sca
     """An object alone in the bin, turned about the vertical by ``turn`` radians; its body id."""
     robot._build()
     robot._noise = np.random.default_rng(0)
-    robot._scene._add(name, scale, at, np.array([0, 0, np.sin(turn / 2), np.cos(turn / 2)]), (1.0, 0.2, 0.2))
-    assert robot._scene.settle(480)
-    return robot._scene.bodies[0].id
+    robot.scene._add(name, scale, at, np.array([0, 0, np.sin(turn / 2), np.cos(turn / 2)]), (1.0, 0.2, 0.2))
+    assert robot.scene.settle(480)
+    return robot.scene.bodies[0].id
 
 
 def _pick(robot: SimulatedRobot, x: float, y: float, angle: float = 0.0) -> Outcome:
@@ -38,9 +38,9 @@ def _pick(robot: SimulatedRobot, x: float, y: float, angle: float = 0.0) -> Outc
 
 def test_fingers_follow_the_driver_and_open_as_the_formula_says(gripper: SimulatedRobot) -> None:
     gripper._build()
-    arm, client = gripper._arm, gripper._simulation.client
-    gripper._tool.engage()
-    gripper._tool.release()
+    arm, client = gripper.arm, gripper.simulation.client
+    gripper.tool.engage()
+    gripper.tool.release()
     arm.wait(40)  # half open, moving
     driver = client.getJointState(arm.body, arm.joint_index[DRIVER])[0]
     for name, sign in FOLLOWERS.items():
@@ -95,10 +95,10 @@ def test_no_seal_over_an_edge(suction: SimulatedRobot) -> None:
 
 def test_no_seal_on_a_steep_side(suction: SimulatedRobot) -> None:
     _place(suction, "arch", (0.0, 0.0, 0.03))
-    body = suction._scene.bodies[0].id
-    lying = suction._simulation.client.getQuaternionFromEuler((np.pi / 2, 0, 0))
-    suction._simulation.client.resetBasePositionAndOrientation(body, (0, 0, 0.02), lying)
-    suction._scene.settle(480)
+    body = suction.scene.bodies[0].id
+    lying = suction.simulation.client.getQuaternionFromEuler((np.pi / 2, 0, 0))
+    suction.simulation.client.resetBasePositionAndOrientation(body, (0, 0, 0.02), lying)
+    suction.scene.settle(480)
     outcome = _pick(suction, 0.024, 0.0)
     assert not outcome.success
     assert not outcome.truth
@@ -107,11 +107,11 @@ def test_no_seal_on_a_steep_side(suction: SimulatedRobot) -> None:
 def test_the_floor_cannot_be_lifted(suction: SimulatedRobot) -> None:
     """The cup seals on the flat floor as on any body; what it cannot do is lift it."""
     _place(suction, "cube", (-0.08, 0.08, 0.03))
-    engage, sealed_on = suction._tool.engage, []
-    suction._tool.engage = lambda: (engage(), sealed_on.append(suction._tool._sealed_body))
+    engage, sealed_on = suction.tool.engage, []
+    suction.tool.engage = lambda: (engage(), sealed_on.append(suction.tool._sealed_body))
     outcome = _pick(suction, 0.08, -0.08)
-    suction._tool.engage = engage
-    assert sealed_on == [suction._scene.floor]
+    suction.tool.engage = engage
+    assert sealed_on == [suction.scene.floor]
     assert (outcome.success, outcome.truth, outcome.cause) == (False, False, "missed")
 
 
@@ -119,7 +119,7 @@ def test_the_floor_cannot_be_lifted(suction: SimulatedRobot) -> None:
 def test_the_seal_holds_a_limited_force(suction: SimulatedRobot, kilograms: float, held: bool) -> None:
     """60 kPa on a cup of 18 mm are 15 N."""
     body = _place(suction, "cube", (0.0, 0.0, 0.03))
-    suction._simulation.client.changeDynamics(body, -1, mass=kilograms)
+    suction.simulation.client.changeDynamics(body, -1, mass=kilograms)
     outcome = _pick(suction, 0.0, 0.0)
     assert (outcome.success, outcome.truth) == (held, held)
     assert outcome.cause == ("ok" if held else "slipped")
@@ -130,7 +130,7 @@ def test_the_seal_holds_a_limited_moment(suction: SimulatedRobot) -> None:
     outcomes = []
     for x in (0.0, 0.026):
         body = _place(suction, "brick", (0.0, 0.0, 0.03))
-        suction._simulation.client.changeDynamics(body, -1, mass=0.6)
+        suction.simulation.client.changeDynamics(body, -1, mass=0.6)
         outcomes.append(_pick(suction, x, 0.0))
     assert [outcome.success for outcome in outcomes] == [True, False]
     assert [outcome.truth for outcome in outcomes] == [True, False]
@@ -138,8 +138,8 @@ def test_the_seal_holds_a_limited_moment(suction: SimulatedRobot) -> None:
 
 def test_the_arm_ends_at_home_and_counts_its_time(suction: SimulatedRobot) -> None:
     _place(suction, "cube", (0.0, 0.0, 0.03))
-    home = suction._arm.tool_position()
+    home = suction.arm.tool_position()
     outcome = _pick(suction, 0.0, 0.0)
-    assert np.linalg.norm(suction._arm.tool_position() - home) < 1e-3
+    assert np.linalg.norm(suction.arm.tool_position() - home) < 1e-3
     assert 1.0 < outcome.robot_seconds < 6.0
     assert outcome.steps >= outcome.robot_seconds * 240 - 1

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import trimesh
 from hydra.utils import instantiate
 from see2act.datamodules.labels import plane_fit
 from see2act.robot import objects
-from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape
+from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, read_mesh, shape
 from see2act.robot.types import RobotError
 
 
@@ -83,6 +84,17 @@ def test_a_shape_without_volume_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(objects.CATALOGUE, "sheet", lambda: [flat])
     with pytest.raises(RobotError, match="'sheet' has a part without volume"):
         shape("sheet")
+
+
+def test_an_object_file_that_is_no_solid_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=r"mug\.stl does not exist"):
+        read_mesh(tmp_path / "mug.stl")
+    (tmp_path / "text.obj").write_text("this is no mesh")
+    with pytest.raises(RobotError, match=r"text\.obj (is no mesh|has no volume)"):
+        read_mesh(tmp_path / "text.obj")
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]).export(tmp_path / "sheet.stl")
+    with pytest.raises(RobotError, match=r"sheet\.stl has no volume"):
+        read_mesh(tmp_path / "sheet.stl")
 
 
 def _height_from_above(name: str, pose: np.ndarray, pixel: float, half: int) -> np.ndarray:

@@ -17,18 +17,18 @@ def robot(make_robot: Callable[..., SimulatedRobot]) -> SimulatedRobot:
 @pytest.mark.parametrize("split", ["seen", "unseen"])
 def test_two_copies_of_five_objects_lie_still_in_the_bin(robot: SimulatedRobot, split: str) -> None:
     robot.reset(3, split)
-    names = [body.name for body in robot._scene.bodies]
+    names = [body.name for body in robot.scene.bodies]
     assert len(names) == 10
     assert sorted(names) == sorted([*set(names)] * 2)
     assert len(set(names)) == 5
-    assert set(names) <= set(robot._scene._objects.names(split))
-    for body in robot._scene.bodies:
-        velocity, _ = robot._simulation.client.getBaseVelocity(body.id)
+    assert set(names) <= set(robot.scene._objects.names(split))
+    for body in robot.scene.bodies:
+        velocity, _ = robot.simulation.client.getBaseVelocity(body.id)
         assert np.linalg.norm(velocity) < AT_REST
-        position = robot._scene.positions()[body.id]
+        position = robot.scene.positions()[body.id]
         assert np.abs(position[:2]).max() < 0.18
         assert 0 < position[2] < 0.15
-    scales = [body.scale for body in robot._scene.bodies]
+    scales = [body.scale for body in robot.scene.bodies]
     assert min(scales) >= 0.8
     assert max(scales) <= 1.2
     assert len(set(scales)) == 10
@@ -37,7 +37,7 @@ def test_two_copies_of_five_objects_lie_still_in_the_bin(robot: SimulatedRobot, 
 def test_truth_masks_lie_where_the_objects_are(robot: SimulatedRobot) -> None:
     robot.reset(5, "seen")
     truth = robot.truth()
-    for body, position in robot._scene.positions().items():
+    for body, position in robot.scene.positions().items():
         rows, cols = np.nonzero(truth.body == body)
         if len(rows) > 50:
             x, y = robot.workspace.to_world(rows.mean(), cols.mean())

@@ -1,0 +1,77 @@
+"""What a reset leaves: how full the bin is, how much its objects touch, whether they are at rest and apart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from see2act import build
+from see2act.robot.oracle import ExactHeights
+from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import Split
+from see2act.seeding import seed_for
+
+from benchmarks.common import arguments, config, finish, spread
+
+TARGETS = {
+    "coverage": (0.15, 0.45),
+    "touching": (0.3, 1.0),
+    "speed": (0.0, 0.01),
+    "overlap": (0.0, 0.001),
+    "inside": (10, 10),
+}
+"""Least and most: shares, m/s, metres, objects."""
+
+
+def measure(overrides: list[str], split: Split, first: int, resets: int) -> list[dict[str, float]]:
+    """One row a reset."""
+    robot = build.robot_factory(config(overrides), config(overrides).primitive)()
+    rows = []
+    for scene in range(first, first + resets):
+        before = robot.rebuilds
+        robot.reset(seed_for(f"scene/clutter/{split}", scene), split)
+        rows.append(describe(robot) | {"rebuilds": robot.rebuilds - before})
+    robot.close()
+    return rows
+
+
+def describe(robot: SimulatedRobot) -> dict[str, float]:
+    """The scene as it lies: shares of the floor covered and of objects that touch another, worst speed and overlap."""
+    client, bodies = robot.simulation.client, [body.id for body in robot.scene.bodies]
+    solid = [*bodies, robot.scene.floor, *robot.scene.walls]
+    overlap = 0.0
+    for body in bodies:
+        gaps = [point[8] for other in solid if other != body for point in client.getContactPoints(body, other)]
+        overlap = max([overlap, *(-gap for gap in gaps)])
+    at = np.array(list(robot.scene.positions().values()))
+    half = np.array([robot.workspace.width, robot.workspace.length]) / 2
+    return {
+        "coverage": float(np.isin(ExactHeights(robot).body, bodies).mean()),
+        "touching": robot.scene.touching(),
+        "speed": max(float(np.linalg.norm(client.getBaseVelocity(body)[0])) for body in bodies),
+        "overlap": overlap,
+        "inside": int((np.abs(at[:, :2]) < half).all(1).sum()),
+    }
+
+
+def main() -> None:
+    """The command."""
+    parser = arguments(__doc__)
+    parser.add_argument("--resets", type=int, default=500, metavar="N", help="in all, half of them a split (default 500)")
+    args = parser.parse_args()
+    share = args.resets // 2
+    jobs = [(args.overrides, split, i, min(25, share - i)) for split in ("seen", "unseen") for i in range(0, share, 25)]
+    scenes = [row for part in spread(measure, jobs, args.workers, "clutter") for row in part]
+    rows: list[dict[str, Any]] = []
+    for name, (least, most) in TARGETS.items():
+        values = np.array([scene[name] for scene in scenes])
+        met = (values >= least) & (values <= most)
+        row = {"name": name, "resets": len(values), "mean": float(values.mean()), "least": float(values.min())}
+        rows.append(row | {"most": float(values.max()), "target": f"{least:g} to {most:g}", "met in": int(met.sum())})
+        rows[-1]["met"] = bool(met.all())
+    rebuilt = sum(scene["rebuilds"] > 0 for scene in scenes)
+    finish(f"{len(scenes)} resets, {rebuilt} of them rebuilt from a next sub-seed", rows, args.json)
+
+
+if __name__ == "__main__":
+    main()

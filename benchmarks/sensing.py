@@ -1,0 +1,117 @@
+"""Whether what the robot senses is true: sensed success against the simulator's, on easy picks and on nasty ones.
+
+Kinds of attempt: the oracle's `best`; a `random` pixel on an object; the `edge` of one, where cups leak and fingers pinch;
+`knocked`, an object pushed sideways as soon as it is off the ground; `heavy`, one of a mass that the tool can just or just
+not bear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+import numpy as np
+from see2act import build
+from see2act.robot.oracle import oracle
+from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import Pick
+from see2act.seeding import generator, seed_for
+
+from benchmarks.common import arguments, config, finish, spread
+
+KINDS = ("best", "random", "edge", "knocked", "heavy")
+PER_SCENE = 10
+LIMIT = 0.02
+"""Most false positives (of true failures) and false negatives (of true picks)."""
+EDGE = (0.005, 0.02)
+"""Metres that a pick is off the oracle's."""
+PUSH = (5.0, 60.0)
+"""Newtons, for an eighth of a second."""
+MASS = (0.5, 5.0)
+"""Kilograms."""
+
+
+def measure(overrides: list[str], primitive: str, kind: str, first: int, wanted: int) -> dict[str, Any]:
+    """At least ``wanted`` attempts of a kind."""
+    cfg = config([*overrides, f"primitive={primitive}"])
+    robot = build.robot_factory(cfg, cfg.primitive)()
+    scores = oracle(robot, cfg.primitive.angles)
+    row = {"primitive": primitive, "kind": kind, "attempts": 0, "true": 0, "false_negatives": 0, "false_positives": 0}
+    for scene in count(first):
+        rng = generator(f"benchmarks/sensing/{primitive}/{kind}", scene)
+        robot.reset(seed_for(f"scene/sensing/{primitive}/{kind}", scene), ("seen", "unseen")[scene % 2])
+        for _ in range(PER_SCENE):
+            if robot.bin_empty() or row["attempts"] >= wanted:
+                break
+            pick = _pick(robot, scores, kind, rng)
+            if kind == "heavy":
+                for body in robot.scene.bodies:
+                    robot.simulation.client.changeDynamics(body.id, -1, mass=np.exp(rng.uniform(*np.log(MASS))))
+            robot.simulation.after_step = _pusher(robot, rng) if kind == "knocked" else None
+            outcome = robot.execute(pick)
+            row["attempts"] += 1
+            row["true"] += outcome.truth
+            row["false_negatives"] += outcome.truth and not outcome.success
+            row["false_positives"] += outcome.success and not outcome.truth
+        if row["attempts"] >= wanted:
+            break
+    robot.close()
+    return row
+
+
+def _pick(robot: SimulatedRobot, scores: Callable[..., np.ndarray], kind: str, rng: np.random.Generator) -> Pick:
+    heightmap = robot.observe().heightmap
+    logits = scores(heightmap.color, heightmap.height)
+    angles, rows, cols = logits.shape
+    if kind == "random":
+        cells = np.argwhere(robot.truth().body >= 0)
+        row, col = cells[rng.integers(len(cells))] if len(cells) else (rows // 2, cols // 2)
+        angle = rng.integers(angles)
+    else:
+        angle, row, col = np.unravel_index(logits.argmax(), logits.shape)
+    if kind == "edge":
+        turn = rng.uniform(0, 2 * np.pi)
+        off = rng.uniform(*EDGE) / robot.workspace.pixel
+        row = np.clip(round(row + off * np.sin(turn)), 5, rows - 6)
+        col = np.clip(round(col + off * np.cos(turn)), 5, cols - 6)
+    return robot.workspace.pick(heightmap, int(row), int(col), float(angle) * np.pi / angles)
+
+
+def _pusher(robot: SimulatedRobot, rng: np.random.Generator) -> Callable[[], None]:
+    """Pushes whatever has risen by 3 cm, once."""
+    before, turn, steps = robot.scene.positions(), rng.uniform(0, 2 * np.pi), 30
+    force = rng.uniform(*PUSH) * np.array([np.cos(turn), np.sin(turn), 0])
+
+    def push() -> None:
+        nonlocal steps
+        for body, at in robot.scene.positions().items():
+            if steps and at[2] - before[body][2] > 0.03:
+                steps -= 1
+                robot.simulation.client.applyExternalForce(body, -1, force, at, robot.simulation.client.WORLD_FRAME)
+                return
+
+    return push
+
+
+def main() -> None:
+    """The command."""
+    parser = arguments(__doc__)
+    parser.add_argument("--attempts", type=int, default=120, metavar="N", help="of each kind and primitive (default 120)")
+    args = parser.parse_args()
+    jobs = [(args.overrides, primitive, kind, 0, args.attempts) for primitive in ("suction", "grasp") for kind in KINDS]
+    rows = list(spread(measure, jobs, args.workers, "sensing"))
+    for primitive in ("suction", "grasp"):
+        parts = [row for row in rows if row["primitive"] == primitive and row["kind"] in KINDS]
+        total = {"primitive": primitive, "kind": "all"} | {name: sum(row[name] for row in parts) for name in list(parts[0])[2:]}
+        rows.append(total)
+    for row in rows:
+        failures = row["attempts"] - row["true"]
+        wrong = row["false_negatives"] / max(row["true"], 1), row["false_positives"] / max(failures, 1)
+        row |= {"false_negative_rate": wrong[0], "false_positive_rate": wrong[1]}
+        row["met"] = max(wrong) <= LIMIT if row["kind"] == "all" else None
+    finish(f"Sensed against true (at most {LIMIT:.0%} of each error over all kinds)", rows, args.json)
+
+
+if __name__ == "__main__":
+    main()
