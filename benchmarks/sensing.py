@@ -37,7 +37,14 @@ def measure(overrides: list[str], primitive: str, kind: str, first: int, wanted:
     cfg = config([*overrides, f"primitive={primitive}"])
     robot = build.robot_factory(cfg, cfg.primitive)()
     scores = oracle(robot, cfg.primitive.angles)
-    row = {"primitive": primitive, "kind": kind, "attempts": 0, "true": 0, "false_negatives": 0, "false_positives": 0}
+    row: dict[str, Any] = {
+        "primitive": primitive,
+        "kind": kind,
+        "attempts": 0,
+        "true": 0,
+        "false_negatives": 0,
+        "false_positives": 0,
+    }
     for scene in count(first):
         rng = generator(f"benchmarks/sensing/{primitive}/{kind}", scene)
         robot.reset(seed_for(f"scene/sensing/{primitive}/{kind}", scene), ("seen", "unseen")[scene % 2])

@@ -17,7 +17,7 @@ from see2act.attempt import Affordances
 from see2act.evaluation import SPLITS, one_test_run, scene_seed
 from see2act.files import write_json
 from see2act.policy import Policy
-from see2act.robot.oracle import oracle
+from see2act.robot.oracle import ExactHeights, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Split
 from see2act.seeding import generator, seed_for
@@ -36,10 +36,10 @@ def measure(overrides: list[str], primitive: str, split: Split, policy: str, sce
     robot = build.robot_factory(cfg, cfg.primitive)()
     scores, rule = _scripted(policy, robot, cfg.primitive.angles, build.policy(cfg))
     objects: dict[str, list[int]] = defaultdict(lambda: [0, 0])
-    aimed: list[int] = []
+    aimed: list[np.ndarray] = []
 
     def looking(color: np.ndarray, height: np.ndarray) -> np.ndarray:
-        aimed[:] = [robot.truth().body]
+        aimed[:] = [ExactHeights(robot).body]
         return scores(color, height)
 
     successes = attempts = left = lost = 0
@@ -59,7 +59,13 @@ def measure(overrides: list[str], primitive: str, split: Split, policy: str, sce
         lost += robot.lost
     robot.close()
     low, high = wilson(successes, attempts)
-    row = {"primitive": primitive, "split": split, "policy": policy, "successes": successes, "attempts": attempts}
+    row: dict[str, Any] = {
+        "primitive": primitive,
+        "split": split,
+        "policy": policy,
+        "successes": successes,
+        "attempts": attempts,
+    }
     row |= {"rate": successes / attempts, "low": low, "high": high, "runs": run, "left": left, "lost": lost}
     return row | {"objects": dict(sorted(objects.items()))}
 

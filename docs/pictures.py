@@ -1,39 +1,124 @@
-"""Makes the pictures of these pages: `python docs/pictures.py`."""
+"""Makes the pictures of robot.md: `python docs/pictures.py`."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from hydra import compose, initialize_config_module
+from matplotlib import colormaps
+from omegaconf import DictConfig
 from see2act import build
 from see2act.config import register
-from see2act.robot.camera import Camera, DepthNoise
+from see2act.robot.oracle import oracle
+from see2act.robot.robot import SimulatedRobot
+from see2act.robot.video import BYSTANDER
 
 DOCS = Path(__file__).parent
-VIEW = Camera("bystander", (0.75, -0.75, 0.75), (-0.08, 0.0, 0.15), (0, 0, 1), 960, 720, 900.0, DepthNoise())
+SCENE = 4
 
 
-def robot_over_bin(primitive: str) -> np.ndarray:
-    """The arm lowering its tool onto an object, RGB."""
+def make(*overrides: str) -> tuple[SimulatedRobot, DictConfig]:
+    """The default robot, and its configuration."""
     register()
     with initialize_config_module("see2act.conf", version_base="1.3"):
-        cfg = compose("train", ["paths.output=.", f"primitive={primitive}"])
-    robot = build.robot_factory(cfg, cfg.primitive)()
-    robot.reset(4, "seen")
-    heightmap = robot.observe().heightmap
-    row, col = np.unravel_index(np.argmax(heightmap.height[20:-20, 20:-20]), (104, 104))
-    pick = robot.workspace.pick(heightmap, int(row) + 20, int(col) + 20, np.pi / 4)
-    at = np.array([pick.x, pick.y, pick.z + robot.tool.length() + 0.02])
-    joints = robot.arm.solve(at, pick.angle)
-    assert joints is not None
-    robot.arm.teleport(joints)
-    color, _, _ = VIEW.render(robot.simulation)
+        cfg = compose("train", ["paths.output=.", *overrides])
+    return build.robot_factory(cfg, cfg.primitive)(), cfg
+
+
+def objects() -> np.ndarray:
+    """All objects, each alone in the bin and seen from the same place."""
+    robot, cfg = make()
+    view = replace(BYSTANDER, position=(0.15, -0.22, 0.2), target=(0, 0, 0.015), width=320, height=240, focal=430.0)
+    tiles = []
+    for split in ("seen", "unseen"):
+        for i, name in enumerate(cfg.objects[split]):
+            robot._build()
+            color = np.array(colormaps["rainbow"](i / 14)[:3]) if split == "seen" else np.array([0.9, 0.75, 0.2])
+            robot.scene._add(name, 1.0, (0.0, 0.0, 0.05), np.array([0.0, 0.0, 0.26, 0.97]), tuple(color))
+            robot.scene.settle(480)
+            tile = view.render(robot.simulation)[0].copy()
+            tiles.append(label(tile, name if split == "seen" else f"{name} (unseen)"))
     robot.close()
-    return color
+    return np.vstack([np.hstack(tiles[i : i + 5]) for i in range(0, 20, 5)])
+
+
+def scene() -> np.ndarray:
+    """A full bin: as a bystander sees it, as the camera does, and the heightmap."""
+    robot, _ = make()
+    robot.reset(SCENE, "seen")
+    observation = robot.observe()
+    heightmap = observation.heightmap
+    height = (colormaps["viridis"]((heightmap.height / 0.1).clip(0, 1))[..., :3] * 255).astype(np.uint8)
+    tiles = {
+        "a bystander": BYSTANDER.render(robot.simulation)[0][:, 80:560],
+        "camera=side": observation.color[:, 80:560],
+        "heightmap: color": heightmap.color,
+        "heightmap: height, 0 to 10 cm": height,
+    }
+    robot.close()
+    return np.hstack([label(fit(tile, 360), name) for name, tile in tiles.items()])
+
+
+def tools() -> np.ndarray:
+    """The two end effectors, near."""
+    tiles = []
+    for primitive in ("suction", "grasp"):
+        robot, _ = make(f"primitive={primitive}")
+        robot._build()
+        robot.arm.teleport(robot.arm.solve(np.array([0.0, 0.0, 0.3]), np.pi / 4))
+        view = replace(BYSTANDER, position=(0.35, -0.35, 0.35), target=(0, 0, 0.2), width=480, height=480, focal=560.0)
+        tiles.append(label(view.render(robot.simulation)[0], primitive))
+        robot.close()
+    return np.hstack(tiles)
+
+
+def pick(primitive: str) -> np.ndarray:
+    """A pick by the oracle, in four pictures."""
+    robot, cfg = make(f"primitive={primitive}")
+    robot.reset(SCENE, "seen")
+    heightmap = robot.observe().heightmap
+    logits = oracle(robot, cfg.primitive.angles)(heightmap.color, heightmap.height)
+    angle, row, col = (int(i) for i in np.unravel_index(logits.argmax(), logits.shape))
+    chosen = robot.workspace.pick(heightmap, row, col, angle * np.pi / cfg.primitive.angles)
+    view = replace(BYSTANDER, target=(chosen.x, chosen.y, 0.1), width=360, height=400, focal=750.0)
+    frames: list[np.ndarray] = []
+    lowest = float(robot.tool.depth_at(np.array(chosen.z)))
+
+    def watch() -> None:
+        tip = robot.arm.tool_position()[2] - robot.tool.length()
+        moments = (tip < lowest + 0.06, tip < lowest + 0.002, tip > lowest + 0.03, tip > lowest + 0.095)
+        if len(frames) < 4 and moments[len(frames)]:
+            frames.append(view.render(robot.simulation)[0])
+
+    robot.simulation.after_step = watch
+    outcome = robot.execute(chosen)
+    robot.close()
+    assert outcome.truth, "the picture should show a pick that succeeds"
+    words = ("descend", "seal" if primitive == "suction" else "close", "lift", "sense")
+    return np.hstack([label(frame, f"{primitive}: {word}") for frame, word in zip(frames, words, strict=True)])
+
+
+def fit(picture: np.ndarray, side: int) -> np.ndarray:
+    """A picture as a square of ``side`` pixels."""
+    short = min(picture.shape[:2])
+    top, left = ((length - short) // 2 for length in picture.shape[:2])
+    square = picture[top : top + short, left : left + short]
+    return cv2.resize(square, (side, side), interpolation=cv2.INTER_NEAREST if short < side else cv2.INTER_AREA)
+
+
+def label(picture: np.ndarray, text: str) -> np.ndarray:
+    """With ``text`` in its upper left corner."""
+    picture = np.ascontiguousarray(picture)
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
+    cv2.rectangle(picture, (0, 0), (width + 16, height + 14), (40, 40, 40), -1)
+    cv2.putText(picture, text, (8, height + 7), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (255, 255, 255), 1, cv2.LINE_AA)
+    return picture
 
 
 if __name__ == "__main__":
-    picture = np.hstack([robot_over_bin("suction"), robot_over_bin("grasp")])
-    cv2.imwrite(str(DOCS / "robot.png"), cv2.resize(picture, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)[..., ::-1])
+    pictures = {"objects": objects(), "scene": scene(), "tools": tools(), "picks": np.vstack([pick("suction"), pick("grasp")])}
+    for name, picture in pictures.items():
+        cv2.imwrite(str(DOCS / f"{name}.png"), picture[..., ::-1])

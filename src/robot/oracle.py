@@ -17,8 +17,6 @@ from see2act.robot.types import RobotError
 
 HOPELESS = -50.0
 """Logit of a pick that the oracle rules out."""
-TRUSTED = 0.004
-"""Metres by which the sensed height at a pixel may be off the true one."""
 Scores = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
 
 
@@ -58,12 +56,13 @@ class _SuctionOracle:
         robot, cup = self._robot, self._cup
         top, centres = ExactHeights(robot), robot.scene.positions()
         scores = np.full(height.shape, HOPELESS)
-        cells = np.isin(top.body, list(centres)) & (np.abs(height - top.height) < TRUSTED)
-        points, bodies = top.points[cells], top.body[cells]
+        # A cup sent too deep is stopped by force; one sent too high, for the sensed height is wrong, meets nothing.
+        cells = np.isin(top.body, list(centres)) & (height - top.height < 0.8 * cup.press)
+        points, bodies, off_height = top.points[cells], top.body[cells], np.abs(height - top.height)[cells]
         if not len(points):
             return scores[None]
         turns = np.arange(16) * np.pi / 8
-        rim = (cup.cup_radius + 0.001) * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(16)])
+        rim = (cup.cup_radius + 0.0005) * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(16)])
         above = points[:, None] * [1, 1, 0] + rim + [0, 0, 0.3]
         hits = robot.simulation.cast(above.reshape(-1, 3), above.reshape(-1, 3) - [0, 0, 0.31])
         on_one = (hits.body.reshape(-1, 16) == bodies[:, None]).all(1)
@@ -75,8 +74,9 @@ class _SuctionOracle:
         burden = _burdens(robot)
         load = np.array([burden[body] for body in bodies])
         # Weights in metres of lever: 20 degrees of tilt, or another object's weight on top, are worth 2 cm.
-        score = 5 - 100 * (lever + 0.02 * tilt / np.radians(20) + 0.02 * load)
-        scores[cells] = np.where(good, score, HOPELESS)
+        score = 5 - 100 * (lever + 0.02 * tilt / np.radians(20) + 0.02 * load + off_height)
+        # Where nothing suits the cup, it presses on the flattest place: what leans there may fall over.
+        scores[cells] = np.where(good, score, -10 - tilt - 1000 * off_plane)
         return scores[None]
 
 

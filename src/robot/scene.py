@@ -25,6 +25,8 @@ class BinConfig:
     Args:
         wall_height: Metres.
         wall_thickness: Metres.
+        friction: Coulomb coefficient of the bin, which Bullet multiplies with that of an object, 0.6. Smooth plastic lets
+            what leans on a wall slide down.
         margin: Metres between the walls and the guides that hold falling objects together.
         drop_height: Metres above the floor from which objects fall.
         touching: Least share of a full bin's objects that touch another; a scene more scattered is no clutter.
@@ -34,6 +36,7 @@ class BinConfig:
 
     wall_height: float
     wall_thickness: float
+    friction: float
     margin: float
     drop_height: float
     touching: float
@@ -182,7 +185,9 @@ class Scene:
         client = self._simulation.client
         collision = client.createCollisionShape(client.GEOM_BOX, halfExtents=half)
         visual = -1 if color is None else client.createVisualShape(client.GEOM_BOX, halfExtents=half, rgbaColor=(*color, 1))
-        return int(client.createMultiBody(0, collision, visual, at))
+        block = int(client.createMultiBody(0, collision, visual, at))
+        client.changeDynamics(block, -1, lateralFriction=self._config.friction)
+        return block
 
 
 def _random_rotation(rng: np.random.Generator) -> np.ndarray:

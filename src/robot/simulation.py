@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,19 +14,21 @@ from jaxtyping import Float, Int
 
 
 @contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """PyBullet writes its build time to the terminal on import; what we say there should be all there is."""
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
+def _quiet(stream: int) -> Iterator[None]:
+    """PyBullet greets on stderr (2) when imported and on stdout (1) when connected; what we say should be all there is."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(stream), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream)
     try:
         yield
+        ctypes.CDLL(None).fflush(None)  # C keeps what it prints until later when stdout is no terminal
     finally:
-        os.dup2(kept, 2)
+        os.dup2(kept, stream)
         os.close(kept)
         os.close(nowhere)
 
 
-with _quiet_stderr():
+with _quiet(2):
     import pybullet
     from pybullet_utils.bullet_client import BulletClient
 
@@ -56,7 +60,8 @@ class Simulation:
             raise RuntimeError(
                 "this build of pybullet lacks NumPy support, camera images would take seconds: reinstall pybullet"
             )
-        self.client = BulletClient(pybullet.DIRECT)
+        with _quiet(1):
+            self.client = BulletClient(pybullet.DIRECT)
         self.steps = 0
         self.after_step: Callable[[], None] | None = None
         """A spectator, called after each step; it must change nothing."""

@@ -22,7 +22,7 @@ class SuctionCup(EndEffector):
     """Presses, seals, pulls; success is a vacuum that is still there after the lift.
 
     The seal forms where rays from the whole rim meet one body, on a plane within ``flatness``, tilted by no
-    more than ``tilt``. It then pulls with the pressure times the cup's area, spread over the rim: too heavy,
+    more than ``tilt``, that the rim touches. It then pulls with the pressure times the cup's area, spread over the rim: too heavy,
     too far off the centre of mass or stuck, and a side of the rim comes off.
 
     Args:
@@ -63,7 +63,7 @@ class SuctionCup(EndEffector):
     ):
         self._holder_length, self._holder_radius = holder_length, holder_radius
         self._cup_length, self.cup_radius = cup_length, cup_radius
-        self._travel, self._stiffness, self._press = travel, stiffness, press
+        self._travel, self._stiffness, self.press = travel, stiffness, press
         self.flatness, self.tilt = flatness, tilt
         self._vacuum, self._leak, self._open = vacuum, leak, open_pressure
         self._threshold, self._peel = threshold, peel
@@ -77,7 +77,7 @@ class SuctionCup(EndEffector):
         self._cup = arm.link_index["suction_cup"]
         self._seal: list[tuple[int, np.ndarray, np.ndarray]] = []
         self._sealed_body = -1
-        self._pressure = self._before = 0.0
+        self.pressure = self._before = 0.0
         client = simulation.client
         client.changeDynamics(arm.body, self._cup, lateralFriction=0.9)
         client.setCollisionFilterGroupMask(arm.body, self._cup, CUP, -1)
@@ -89,18 +89,18 @@ class SuctionCup(EndEffector):
         return self._holder_length + self._cup_length
 
     def depth_at(self, surface: np.ndarray) -> np.ndarray:
-        return np.maximum(surface - self._press, 0.0)
+        return np.maximum(surface - self.press, 0.0)
 
     def prepare(self) -> None:
         self.release()
-        self._before = self._pressure = self._open
+        self._before = self.pressure = self._open
 
     def engage(self) -> None:
         self._arm.wait(8)
         body, quality = self._touch()
         self._had_seal = body is not None
         if body is not None:
-            self._pressure = self._vacuum * quality
+            self.pressure = self._vacuum * quality
             self._attach(body)
 
     def engaged(self) -> bool:
@@ -114,7 +114,7 @@ class SuctionCup(EndEffector):
             self.release()
 
     def sense(self) -> tuple[float, bool]:
-        difference = self._pressure - self._before
+        difference = self.pressure - self._before
         return difference, difference > self._threshold
 
     def release(self) -> None:
@@ -122,7 +122,7 @@ class SuctionCup(EndEffector):
             self._simulation.client.removeConstraint(constraint)
         self._seal = []
         self._had_seal = False
-        self._pressure = self._open
+        self.pressure = self._open
 
     def _touch(self) -> tuple[int | None, float]:
         """The body under the whole rim and the quality of the seal on it, or None."""
@@ -138,7 +138,8 @@ class SuctionCup(EndEffector):
         normal = np.linalg.svd(centred)[2][2]
         off_plane = float(np.abs(centred @ normal).max())
         tilt = float(np.arccos(min(1.0, abs(normal @ rotation[:, 2]))))
-        if off_plane > self.flatness or tilt > self.tilt:
+        gap = float(((hits.position - position) @ rotation[:, 2]).min())
+        if off_plane > self.flatness or tilt > self.tilt or gap > self.flatness:
             return None, 0.0
         return bodies.pop(), 1 - self._leak * off_plane / self.flatness
 
@@ -147,7 +148,7 @@ class SuctionCup(EndEffector):
         position, rotation = self._cup_frame()
         at, turn = client.getBasePositionAndOrientation(body)
         body_rotation = np.array(client.getMatrixFromQuaternion(turn)).reshape(3, 3)
-        force = self._pressure * 1000 * np.pi * self.cup_radius**2
+        force = self.pressure * 1000 * np.pi * self.cup_radius**2
         # A link's constraint frame starts at its centre of mass, half-way up the cup.
         for point in self._rim(ANCHORS):
             on_body = body_rotation.T @ (rotation @ point + position - at)

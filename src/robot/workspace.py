@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from see2act.robot.types import Heightmap, Pick, RobotError
+
+Pixels = TypeVar("Pixels", float, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class Workspace:
         """Rows and columns of the heightmap."""
         return round(self.length / self.pixel), round(self.width / self.pixel)
 
-    def to_world(self, row: float, col: float) -> tuple[float, float]:
-        """World x, y in metres of a pixel's centre."""
+    def to_world(self, row: Pixels, col: Pixels) -> tuple[Pixels, Pixels]:
+        """World x, y in metres of the centres of pixels."""
         x = -self.width / 2 + (col + 0.5) * self.pixel
         y = self.length / 2 - (row + 0.5) * self.pixel
         return x, y

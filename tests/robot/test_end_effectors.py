@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,3 +144,13 @@ def test_the_arm_ends_at_home_and_counts_its_time(suction: SimulatedRobot) -> No
     assert np.linalg.norm(suction.arm.tool_position() - home) < 1e-3
     assert 1.0 < outcome.robot_seconds < 6.0
     assert outcome.steps >= outcome.robot_seconds * 240 - 1
+
+
+def test_a_cup_that_stops_short_of_the_surface_does_not_seal(suction: SimulatedRobot) -> None:
+    """When the sensed height is too high, the cup hangs in the air above the object."""
+    _place(suction, "cube", (0.0, 0.0, 0.03))
+    heightmap = suction.truth().heightmap
+    pick = suction.workspace.pick(heightmap, 72, 72, 0.0)
+    outcome = suction.execute(replace(pick, z=pick.z + 0.010))
+    assert (outcome.success, outcome.truth) == (False, False)
+    assert suction.execute(pick).success

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable
 
 import numpy as np
@@ -47,42 +46,6 @@ def test_truth_masks_lie_where_the_objects_are(robot: SimulatedRobot) -> None:
 def test_a_smaller_count_drops_fewer(robot: SimulatedRobot) -> None:
     robot.reset(3, "seen", 2)
     assert robot.objects_left == 2
-
-
-def _episode(queue: multiprocessing.Queue) -> None:
-    from hydra import compose, initialize_config_module
-    from see2act import build
-    from see2act.config import register
-
-    register()
-    with initialize_config_module("see2act.conf", version_base="1.3"):
-        cfg = compose("train", ["paths.output=.", "primitive=grasp"])
-    robot = build.robot_factory(cfg, cfg.primitive)()
-    trace = []
-    for scene in (11, 12):
-        robot.reset(scene, "seen")
-        rng = np.random.default_rng(scene)
-        for _ in range(3):
-            truth, heightmap = robot.truth(), robot.observe().heightmap
-            row, col = rng.permutation(np.argwhere(truth.body >= 0))[0]
-            outcome = robot.execute(robot.workspace.pick(heightmap, int(row), int(col), float(rng.integers(16) * np.pi / 16)))
-            trace.append((heightmap.height.tobytes(), heightmap.color.tobytes(), outcome))
-    robot.close()
-    queue.put(trace)
-
-
-@pytest.mark.slow
-def test_same_seed_and_picks_give_the_same_outcomes_in_two_busy_processes() -> None:
-    context = multiprocessing.get_context("spawn")
-    queues = [context.Queue() for _ in range(2)]
-    jobs = [context.Process(target=_episode, args=(queue,)) for queue in queues]
-    for job in jobs:
-        job.start()
-    first, second = (queue.get(timeout=300) for queue in queues)
-    for job in jobs:
-        job.join(60)
-    assert len(first) == 6
-    assert first == second
 
 
 def test_a_scene_follows_from_its_seed_alone(robot: SimulatedRobot) -> None:
