@@ -41,7 +41,7 @@ def test_design_numbers_are_the_defaults(config: Callable) -> None:
 def test_hash_is_of_what_changes_results(config: Callable) -> None:
     base = config_hash(config())
     assert len(base) == 12
-    for same in ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true"):
+    for same in ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true", "robot.video=true"):
         assert config_hash(config(same)) == base
     for other in (
         "task=corner",

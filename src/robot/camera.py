@@ -114,8 +114,8 @@ class Camera:
     def incidence(self, depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
         """Radians between each pixel's ray and the normal of the surface it sees."""
         dv, du = _slope(depth, 0), _slope(depth, 1)
-        v, u = np.indices(depth.shape) + 0.5
-        x, y = u - self.intrinsics[0, 2], v - self.intrinsics[1, 2]
+        rows, cols = (np.arange(n, dtype=np.float32) + 0.5 for n in depth.shape)
+        x, y = cols - np.float32(self.intrinsics[0, 2]), (rows - np.float32(self.intrinsics[1, 2]))[:, None]
         # With the ray (x, y, f) / f and the normal (-f du, -f dv, z + x du + y dv) their product is z.
         normal = np.sqrt((self.focal * du) ** 2 + (self.focal * dv) ** 2 + (depth + x * du + y * dv) ** 2)
         ray = np.sqrt(x**2 + y**2 + self.focal**2) / self.focal
