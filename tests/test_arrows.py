@@ -9,7 +9,7 @@ import pytest
 
 SRC = Path(__file__).parents[1] / "src"
 BANNED = {
-    "robot": ("torch", "lightning", "see2act.modules", "see2act.datamodules"),
+    "robot": ("torch", "lightning", "see2act.modules", "see2act.datamodules", "time", "datetime", "random"),
     "modules": ("pybullet", "see2act.robot", "see2act.datamodules"),
     "datamodules": ("see2act.pipeline",),
 }

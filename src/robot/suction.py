@@ -21,9 +21,9 @@ MOVING_AND_STATIC, CUP = 3, 64
 class SuctionCup(EndEffector):
     """Presses, seals, pulls; success is a vacuum that is still there after the lift.
 
-    The seal forms where rays from the whole rim meet one body, on a plane within ``flatness``, tilted by no
-    more than ``tilt``, that the rim touches. It then pulls with the pressure times the cup's area, spread over the rim: too heavy,
-    too far off the centre of mass or stuck, and a side of the rim comes off.
+    The seal forms where the rim touches and rays from all of it meet one body, on a plane within ``flatness``,
+    tilted by no more than ``tilt``. It then pulls with the pressure times the cup's area, spread over the rim: too
+    heavy, too far off the centre of mass or stuck, and a side of the rim comes off.
 
     Args:
         holder_length, holder_radius: The tube, metres.
