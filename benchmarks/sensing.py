@@ -57,6 +57,7 @@ def measure(overrides: list[str], primitive: str, kind: str, first: int, wanted:
                     robot.simulation.client.changeDynamics(body.id, -1, mass=np.exp(rng.uniform(*np.log(MASS))))
             robot.simulation.after_step = _pusher(robot, rng) if kind == "knocked" else None
             outcome = robot.execute(pick)
+            robot.simulation.after_step = None
             row["attempts"] += 1
             row["true"] += outcome.truth
             row["false_negatives"] += outcome.truth and not outcome.success
