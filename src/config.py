@@ -34,7 +34,13 @@ class TaskConfig:
     parts: list[str] = field(default_factory=list)
     """What this source can give: backbone, head."""
     weights: str | None = None
-    """A vision checkpoint of one's own to use instead of pre-training."""
+    """A file to take instead of pre-training or downloading: a vision checkpoint, or torchvision's weights."""
+    off_the_shelf: dict[str, Any] | None = None
+    """``_target_`` and arguments of a :class:`see2act.modules.weights.OffTheShelf`; null for tasks learned here."""
+    optional: list[str] = field(default_factory=list)
+    """Beginnings of keys that off-the-shelf weights lack; they start at their initialisation."""
+    model: str | None = None
+    """The only model that off-the-shelf weights fit."""
     class_weight: str = "none"
     """``none``, or ``balanced`` to weigh positive pixels by the inverse of their share."""
 
@@ -223,6 +229,8 @@ def illegal_cell(cfg: DictConfig) -> str | None:
         return (
             f"transfer=none ignores task={task}: use task=none transfer=none for the baseline, or transfer=backbone|full|fixed"
         )
+    if cfg.task.model and cfg.model.name != cfg.task.model:
+        return f"task={task} has weights for model={cfg.task.model} alone, not for {cfg.model.name}: add model={cfg.task.model}"
     missing = [part for part in cfg.transfer.parts if part not in cfg.task.parts]
     if missing:
         return f"task={task} has no {' or '.join(missing)}, so transfer={transfer} is impossible: use transfer=backbone"
@@ -261,7 +269,7 @@ def validate(cfg: DictConfig) -> None:
         _at_least(f"evaluate.attempts.{split}", cfg.evaluate.attempts.get(split, 0), 1)
     for step in cfg.evaluate.at:
         _at_least("evaluate.at", step, 0)
-    if cfg.task.weights and not cfg.task.label:
+    if cfg.task.weights and not (cfg.task.label or cfg.task.off_the_shelf):
         raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
     if cfg.task.weights and not Path(cfg.task.weights).is_file():
         raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of a run's checkpoints/vision.ckpt")

@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import lightning as L
@@ -26,10 +25,11 @@ from see2act.datamodules.replay import Replay
 from see2act.datamodules.vision import VisionDataModule, channel_statistics
 from see2act.evaluation import Protocol, evaluate
 from see2act.files import replacing, write_json
+from see2act.modules import weights
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms, estimate
 from see2act.modules.network import PixelNetwork
-from see2act.modules.transfer import TransferError, TransferReport, copy_parts
+from see2act.modules.transfer import TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, curve, versions
@@ -82,8 +82,9 @@ class Run:
         Raises:
             TransferError: Keys or shapes differ.
         """
-        if self.cfg.task.weights:
-            copy_parts(self._weights(self.cfg.task.weights)["network"], self._network(0), self.cfg.transfer.parts)
+        if self.cfg.task.weights or self.cfg.task.off_the_shelf:
+            network = self._network(0)
+            self._copy(self._given(network.normalization.mean, network.normalization.std), network)
 
     def collect(self) -> Collection:
         """Observations of random interaction, from the cache or made now."""
@@ -107,8 +108,8 @@ class Run:
     def pretrain(self, collection: Collection) -> dict[str, Any] | None:
         """The vision model's checkpoint: given, from the cache or trained now; None for ``task=none``."""
         cfg = self.cfg
-        if cfg.task.weights:
-            return self._keep_vision(self._weights(cfg.task.weights))
+        if cfg.task.weights or cfg.task.off_the_shelf:
+            return self._keep_vision({"network": self._given(*channel_statistics(collection))})
         if cfg.task.label is None:
             return None
         keys = {"collection": self._collection_key(), **_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
@@ -117,7 +118,7 @@ class Run:
         path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
-        checkpoint = self._weights(path)
+        checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
         log.info("pretrain: %.1f %% of the pixels are positive", 100 * checkpoint["positive_share"])
         return self._keep_vision(checkpoint)
 
@@ -126,7 +127,7 @@ class Run:
         cfg = self.cfg
         network = self._network(seed_for("head", cfg.seed))
         network.normalization.set(*channel_statistics(collection))
-        report = copy_parts(vision["network"] if vision else {}, network, cfg.transfer.parts)
+        report = self._copy(vision["network"] if vision else {}, network)
         write_json(self.folder / "transfer.json", report.as_dict())
         shape = (collection.arrays["height"].shape[1], collection.arrays["height"].shape[2])
         module = AffordanceModule(
@@ -172,7 +173,7 @@ class Run:
         models = {"before fine-tuning": before, "after fine-tuning": module}
         if vision:
             seeing = copy.deepcopy(before)
-            seeing.network.load_state_dict(vision["network"])
+            copy_parts(vision["network"], seeing.network, cfg.task.parts, cfg.task.optional)
             models = {f"vision model: {cfg.task.name}": seeing, **models}
         robot = build.robot_factory(cfg, cfg.primitive)()
         try:
@@ -185,16 +186,19 @@ class Run:
             torch.save(checkpoint, partial)
         return checkpoint
 
-    def _weights(self, path: Path | str) -> dict[str, Any]:
-        try:
-            checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
-            checkpoint["network"].keys()
-        except (RuntimeError, OSError, UnpicklingError, KeyError, EOFError, TypeError) as error:
-            reason = " ".join(str(error).split())[:120]
-            raise TransferError(
-                f"{path} is no vision checkpoint of see2act ({reason}): use a run's checkpoints/vision.ckpt"
-            ) from None
-        return checkpoint
+    def _given(self, mean: Tensor, std: Tensor) -> dict[str, Tensor]:
+        """State of a vision model from elsewhere; the height's statistics (``mean``, ``std``: (4,)) are always ours."""
+        task = self.cfg.task
+        if not task.off_the_shelf:
+            return weights.read(Path(task.weights))
+        source: weights.OffTheShelf = instantiate(task.off_the_shelf)
+        state = source.read(task.weights)
+        for name, ours in (("normalization.mean", mean), ("normalization.std", std)):
+            state[name] = torch.cat([state[name][:3], state[name][3:] if len(state[name]) == 4 else ours[3:]])
+        return state
+
+    def _copy(self, source: dict[str, Tensor], network: PixelNetwork) -> TransferReport:
+        return copy_parts(source, network, self.cfg.transfer.parts, self.cfg.task.optional)
 
     def _train_vision(self, collection: Collection, path: Path) -> None:
         cfg, seed = self.cfg, self.cfg.pretrain.seed

@@ -5,7 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
+
+
+class BatchNorm(nn.BatchNorm2d):
+    """BatchNorm whose epsilon is part of its state: torchvision's COCO detectors need 0, its ImageNet models 1e-5."""
+
+    epsilon: Tensor
+
+    def __init__(self, channels: int):
+        super().__init__(channels)
+        self.register_buffer("epsilon", torch.tensor(self.eps))
+
+    def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
+        self.eps = float(self.epsilon)
+        return super().forward(x)
 
 
 def batchnorms(network: nn.Module) -> dict[str, nn.BatchNorm2d]:

@@ -39,16 +39,19 @@ class TransferReport:
         return asdict(self)
 
 
-def copy_parts(source: Mapping[str, Tensor], network: PixelNetwork, parts: Sequence[str]) -> TransferReport:
+def copy_parts(
+    source: Mapping[str, Tensor], network: PixelNetwork, parts: Sequence[str], optional: Sequence[str] = ()
+) -> TransferReport:
     """Copy ``parts`` of a network's state dict into ``network``.
 
     Args:
         source: State dict of a :class:`PixelNetwork`; may be empty if there are no ``parts``.
         network: Changed in place, after every check has passed.
         parts: Any of ``backbone`` and ``head``.
+        optional: Beginnings of keys that the source need not have; they stay at their initialisation.
 
     Raises:
-        TransferError: A part is missing from the source, or its keys or shapes do not fit.
+        TransferError: A part is missing from the source, or its keys or shapes do not fit, or nothing of it would move.
     """
     target = network.state_dict()
     report = TransferReport(parts=list(parts))
@@ -57,9 +60,9 @@ def copy_parts(source: Mapping[str, Tensor], network: PixelNetwork, parts: Seque
         return report
     wanted = {key for key in target if key.split(".")[0] in (*parts, ALWAYS)}
     for part in parts:
-        _check(source, target, part)
+        _check(source, target, part, tuple(optional))
     for key, value in target.items():
-        if key in wanted:
+        if key in wanted and key in source:
             value.copy_(source[key])
             report.copied[key] = list(value.shape)
         else:
@@ -68,10 +71,12 @@ def copy_parts(source: Mapping[str, Tensor], network: PixelNetwork, parts: Seque
     return report
 
 
-def _check(source: Mapping[str, Tensor], target: Mapping[str, Tensor], part: str) -> None:
+def _check(source: Mapping[str, Tensor], target: Mapping[str, Tensor], part: str, optional: tuple[str, ...]) -> None:
     theirs = {key: list(value.shape) for key, value in source.items() if key.split(".")[0] in (part, ALWAYS)}
     ours = {key: list(value.shape) for key, value in target.items() if key.split(".")[0] in (part, ALWAYS)}
-    problems = [f"{key} is missing" for key in ours if key not in theirs]
+    problems = [f"{key} is missing" for key in ours if key not in theirs and not key.startswith(optional)]
+    if not any(key.startswith(part) for key in ours.keys() & theirs.keys()):
+        problems.insert(0, f"nothing of it is called {part}")
     problems += [f"{key} is not in this network" for key in theirs if key not in ours]
     problems += [
         f"{key} is {theirs[key]} there and {ours[key]} here" for key in ours if key in theirs and ours[key] != theirs[key]

@@ -1,0 +1,87 @@
+"""The network of the real-robot experiments: Detectron's region proposal network on a ResNet with feature pyramid."""
+
+from __future__ import annotations
+
+import torch.nn.functional as F
+import torchvision
+from jaxtyping import Float
+from see2act.modules.batchnorm import BatchNorm
+from see2act.modules.network import PixelNetwork
+from torch import Tensor, nn
+from torchvision.models.detection.backbone_utils import BackboneWithFPN
+from torchvision.models.detection.rpn import RPNHead
+
+FPN_CHANNELS = 256
+LEVEL = "0"
+"""torchvision's name of P2, the finest level, at stride 4."""
+DEPTHS = ("early", "none")
+COARSEST = 32
+"""Stride of the coarsest feature map."""
+
+
+class ResNetFPN(nn.Module):
+    """RGB-D to the P2 level of a feature pyramid, (B, 4, H, W) -> (B, 256, H / 4, W / 4).
+
+    ``body`` and ``fpn`` are torchvision's, key by key. The depth enters through ``depth``, a convolution beside the first one
+    whose result is added to it: the same as a fourth input channel, with the keys of the other three untouched. It starts at
+    zero, so that until something is learned the network is the off-the-shelf one on the RGB alone.
+
+    Args:
+        name: A torchvision ResNet: resnet18, resnet34, resnet50, ...
+        depth: ``early`` adds the depth at the first convolution, ``none`` leaves it out.
+    """
+
+    def __init__(self, name: str, depth: str):
+        super().__init__()
+        if depth not in DEPTHS:
+            raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
+        body = getattr(torchvision.models, name)(weights=None, norm_layer=BatchNorm)
+        stages = [body.inplanes // 8 * 2**i for i in range(4)]
+        pyramid = BackboneWithFPN(body, {f"layer{i + 1}": str(i) for i in range(4)}, stages, FPN_CHANNELS)
+        self.body, self.fpn = pyramid.body, pyramid.fpn
+        self.depth = nn.Conv2d(1, 64, 7, stride=2, padding=3, bias=False) if depth == "early" else None
+        if self.depth is not None:
+            nn.init.zeros_(self.depth.weight)
+
+    def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 256 h w"]:
+        features = {}
+        y = x[:, :3]
+        for name, layer in self.body.items():
+            y = layer(y)
+            if name == "conv1" and self.depth is not None:
+                y = y + self.depth(x[:, 3:])
+            if name in self.body.return_layers:
+                features[self.body.return_layers[name]] = y
+        p2: Tensor = self.fpn(features)[LEVEL]
+        return p2
+
+
+class ObjectnessHead(RPNHead):
+    """torchvision's RPN head; the objectness of the anchors at a place, max-pooled into one logit and brought to input size.
+
+    ``bbox_pred`` is carried along with the weights and not used.
+
+    Args:
+        anchors: Anchors at a place.
+    """
+
+    def __init__(self, anchors: int):
+        super().__init__(FPN_CHANNELS, anchors)
+
+    def forward(self, x: Float[Tensor, "B 256 h w"]) -> Float[Tensor, "B 1 H W"]:
+        objectness = self.cls_logits(self.conv(x)).amax(1, keepdim=True)
+        return F.interpolate(objectness, scale_factor=4, mode="bilinear", align_corners=False)
+
+
+class RPN(PixelNetwork):
+    """Region proposals as a heatmap.
+
+    Args:
+        backbone: A torchvision ResNet by name.
+        anchors: Anchors at a place (torchvision's detectors: 3).
+        depth: How the depth enters: ``early`` or ``none``.
+    """
+
+    def __init__(self, backbone: str = "resnet50", anchors: int = 3, depth: str = "early"):
+        # The stem, four stages and the pyramid see some 500 px to each side: all of any heightmap here.
+        super().__init__(ResNetFPN(backbone, depth), ObjectnessHead(anchors), stride=COARSEST, reach=512)

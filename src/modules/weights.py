@@ -1,0 +1,106 @@
+"""Parameters from elsewhere: files and torchvision's own, in the keys that networks here have."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from pickle import UnpicklingError
+
+import torch
+import torchvision
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from see2act.modules.transfer import TransferError
+from torch import Tensor
+
+OLD_FPN = re.compile(r"^(backbone\.fpn\.(?:inner|layer)_blocks\.\d)\.(weight|bias)$")
+OLD_HEAD = re.compile(r"^head\.conv\.(weight|bias)$")
+"""Keys of torchvision's older detectors, which lack the index of the convolution in its block."""
+
+
+@dataclass(frozen=True)
+class OffTheShelf:
+    """torchvision's weights, and what they need beside themselves.
+
+    Args:
+        weights: A torchvision model and one of its weights, ``resnet50.IMAGENET1K_V1``.
+        mean, std: Of the RGB channels (0..1) that they were trained with.
+        epsilon: Of their BatchNorm.
+    """
+
+    weights: str
+    mean: Sequence[float]
+    std: Sequence[float]
+    epsilon: float
+
+    def read(self, file: str | None) -> dict[str, Tensor]:
+        """State dict in the keys of networks here, from ``file`` or else from torchvision's cache or the network.
+
+        Statistics of the input are of RGB alone, (3,); those of the height are the caller's.
+
+        Raises:
+            TransferError: The file cannot be read, or there is neither file nor network.
+        """
+        state = to_our_keys(read(Path(file)) if file else self._download())
+        if "normalization.mean" in state:
+            return state  # a checkpoint of this project, which has all of it
+        for layer in [key.removesuffix("running_mean") for key in state if key.endswith("running_mean")]:
+            state.setdefault(f"{layer}num_batches_tracked", torch.tensor(0))
+            state[f"{layer}epsilon"] = torch.tensor(self.epsilon)
+        return state | {"normalization.mean": torch.tensor([*self.mean]), "normalization.std": torch.tensor([*self.std])}
+
+    def _download(self) -> Mapping[str, Tensor]:
+        model, member = self.weights.split(".")
+        weights = torchvision.models.get_model_weights(model)[member]
+        try:
+            state: Mapping[str, Tensor] = weights.get_state_dict(progress=False, check_hash=True)
+        except (OSError, RuntimeError) as error:
+            name = weights.url.rsplit("/", 1)[1]
+            raise TransferError(
+                f"{self.weights} cannot be downloaded here ({error}): bring {name} from another machine and put it into "
+                f"{Path(torch.hub.get_dir()) / 'checkpoints'}, or name it with task.weights=FILE"
+            ) from None
+        return state
+
+
+def read(path: Path) -> dict[str, Tensor]:
+    """The state dict in a file: .safetensors, or whatever ``torch.save`` wrote. Code in a file is never run.
+
+    Checkpoints of this project and of others, which keep the state dict under a name, are opened.
+
+    Raises:
+        TransferError: It is not there, broken, would run code, or holds no state dict.
+    """
+    try:
+        content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
+    except (SafetensorError, UnpicklingError, RuntimeError, OSError, LookupError, EOFError, ValueError) as error:
+        reason = " ".join(str(error).split())[:160]
+        raise TransferError(f"{path} cannot be read ({reason}): bring weights as a .pth or .safetensors file") from None
+    for name in ("network", "state_dict", "model"):
+        if isinstance(content, Mapping) and isinstance(content.get(name), Mapping):
+            content = content[name]
+    if not isinstance(content, Mapping) or not content or not all(isinstance(v, Tensor) for v in content.values()):
+        raise TransferError(f"{path} holds no state dict: bring the file that torch.save(model.state_dict(), ...) writes")
+    return dict(content)
+
+
+def to_our_keys(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """From torchvision's layouts (a detector, old or new; a backbone with or without its pyramid; a classifier) to ours.
+
+    Keys that belong to no part of a network here stay as they are, and are reported as unused.
+    """
+    names = {key: _rename(key, state) for key in state}
+    return {ours: state[theirs] for theirs, ours in names.items()}
+
+
+def _rename(key: str, state: Mapping[str, Tensor]) -> str:
+    if "conv1.weight" in state and key.split(".")[0] not in ("fc", "avgpool"):
+        key = f"backbone.body.{key}"  # a classifier, or the body of one
+    elif "body.conv1.weight" in state:
+        key = f"backbone.{key}"  # a backbone by itself
+    elif key.startswith("rpn.head."):
+        key = key.removeprefix("rpn.")
+    key = OLD_FPN.sub(r"\1.0.\2", key)
+    return OLD_HEAD.sub(r"head.conv.0.0.\1", key)

@@ -1,0 +1,198 @@
+"""Against torchvision's own detector, in its true layout; the values are random, nothing is downloaded."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.batchnorm import batchnorms
+from see2act.modules.rpn import RPN
+from see2act.modules.transfer import TransferError, copy_parts
+from see2act.modules.weights import OffTheShelf, read, to_our_keys
+from torch import Tensor
+from torchvision.models import resnet18, resnet50
+from torchvision.models.detection import FasterRCNN, fasterrcnn_resnet50_fpn
+from torchvision.models.detection._utils import overwrite_eps
+from torchvision.ops import FrozenBatchNorm2d
+
+MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
+SHELF = {"coco": OffTheShelf("fasterrcnn_resnet50_fpn.COCO_V1", MEAN, STD, 0.0)}
+SHELF["imagenet"] = OffTheShelf("resnet50.IMAGENET1K_V1", MEAN, STD, 1e-5)
+OPTIONAL = ["backbone.depth"]
+
+
+@pytest.fixture(scope="module")
+def detector() -> FasterRCNN:
+    """As torchvision builds it for COCO_V1: BatchNorm frozen, epsilon 0, here with statistics that are not trivial."""
+    torch.manual_seed(0)
+    model = fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None, norm_layer=FrozenBatchNorm2d).eval()
+    overwrite_eps(model, 0.0)
+    for layer in model.modules():
+        if isinstance(layer, FrozenBatchNorm2d):
+            layer.running_mean.normal_(0, 0.1)
+            layer.running_var.uniform_(1e-4, 2)
+    return model
+
+
+def _with_height(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    for name, value in (("normalization.mean", 0.02), ("normalization.std", 0.03)):
+        state[name] = torch.cat([state[name], torch.tensor([value])])
+    return state
+
+
+def _old(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The layout of torchvision before 0.13."""
+    return {
+        key.replace("conv.0.0.", "conv.")
+        if key.startswith("rpn.")
+        else key.replace(".0.weight", ".weight").replace(".0.bias", ".bias")
+        if "fpn" in key
+        else key: value
+        for key, value in state.items()
+    }
+
+
+def _save_pth(state: dict[str, Tensor], folder: Path) -> Path:
+    torch.save(state, folder / "weights.pth")
+    return folder / "weights.pth"
+
+
+def _save_safetensors(state: dict[str, Tensor], folder: Path) -> Path:
+    save_file(state, folder / "weights.safetensors")
+    return folder / "weights.safetensors"
+
+
+@pytest.mark.parametrize("save", [_save_pth, _save_safetensors])
+@pytest.mark.parametrize("layout", [dict, _old])
+def test_rgbd_input_gives_the_detector_s_objectness_on_rgb(
+    detector: FasterRCNN, save: Callable, layout: Callable, tmp_path: Path
+) -> None:
+    state = layout(detector.state_dict())
+    assert ("rpn.head.conv.weight" in state) == (layout is _old)
+    source = _with_height(SHELF["coco"].read(str(save(state, tmp_path))))
+    network = RPN().eval()
+    report = copy_parts(source, network, ["backbone", "head"], OPTIONAL)
+    assert set(report.left_at_initialisation) == {"backbone.depth.weight"}
+    assert report.unused
+    assert all(key.startswith("roi_heads") for key in report.unused)
+
+    color = torch.randint(0, 256, (1, 256, 320, 3), dtype=torch.uint8)
+    image = detector.transform.normalize(color[0].permute(2, 0, 1).float() / 255)[None]
+    with torch.no_grad():
+        objectness, _ = detector.rpn.head([detector.backbone(image)["0"]])
+        expected = torch.nn.functional.interpolate(
+            objectness[0].amax(1, keepdim=True), scale_factor=4, mode="bilinear", align_corners=False
+        )
+        for height in (torch.zeros(1, 256, 320), torch.rand(1, 256, 320)):
+            ours = network(network.prepare(color, height))
+            assert (ours - expected).abs().max() <= 1e-5 * max(1.0, float(expected.abs().max()))
+    assert expected.std() > 1e-4
+
+
+def test_a_classifier_gives_the_body_alone(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    classifier = resnet50(weights=None).eval()
+    source = _with_height(SHELF["imagenet"].read(str(_save_pth(classifier.state_dict(), tmp_path))))
+    network = RPN().eval()
+    before = {key: value.clone() for key, value in network.state_dict().items()}
+    report = copy_parts(source, network, ["backbone"], [*OPTIONAL, "backbone.fpn"])
+    assert set(report.unused) == {"fc.weight", "fc.bias"}
+    for key, value in network.state_dict().items():
+        assert torch.equal(value, source[key] if key in report.copied else before[key]), key
+    x = torch.randn(1, 4, 64, 64)
+    with torch.no_grad():
+        ours, theirs = x[:, :3], x[:, :3]
+        for name, layer in network.backbone.body.items():
+            ours, theirs = layer(ours), getattr(classifier, name)(theirs)
+    assert torch.allclose(ours, theirs, atol=1e-5)
+
+
+def test_a_backbone_by_itself_is_recognised(detector: FasterRCNN, tmp_path: Path) -> None:
+    source = SHELF["coco"].read(str(_save_pth(detector.backbone.state_dict(), tmp_path)))
+    report = copy_parts(_with_height(source), RPN(), ["backbone"], OPTIONAL)
+    assert len(report.copied) > 300
+
+
+def test_epsilon_travels_with_the_weights(detector: FasterRCNN, tmp_path: Path) -> None:
+    source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path))))
+    first, second = RPN().eval(), RPN().eval()
+    copy_parts(source, first, ["backbone", "head"], OPTIONAL)
+    copy_parts(first.state_dict(), second, ["backbone", "head"])
+    x = torch.randn(1, 4, 64, 64)
+    assert torch.equal(first(x), second(x))
+    assert {layer.eps for layer in batchnorms(second).values()} == {0.0}
+
+
+@pytest.mark.parametrize("name", ["resnet18", "resnet34"])
+def test_smaller_backbones_have_the_same_interface(name: str) -> None:
+    network = RPN(name).eval()
+    assert network(torch.randn(2, 4, 144, 160)).shape == (2, 1, 144, 160)
+    module = AffordanceModule(network, (144, 144), 16, 1e-4, 1e-4, 0.0, "frozen")
+    assert module.rotations.canvas == (224, 224)
+
+
+def test_the_depth_can_be_learned_and_left_out() -> None:
+    network = RPN("resnet18")
+    network(torch.randn(2, 4, 64, 64)).sum().backward()
+    assert network.backbone.depth.weight.grad.abs().max() > 0
+    blind = RPN("resnet18", depth="none").eval()
+    x = torch.randn(1, 4, 64, 64)
+    assert torch.equal(blind(x), blind(torch.cat([x[:, :3], x[:, 3:] + 1], 1)))
+    with pytest.raises(ValueError, match="depth=late"):
+        RPN("resnet18", depth="late")
+
+
+class _Evil:
+    def __reduce__(self) -> tuple:
+        return (Path.write_text, (Path("pwned"), "ran"))
+
+
+def test_files_that_cannot_be_trusted_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.pth").write_bytes(pickle.dumps({"a": _Evil()}))
+    torch.save({"a": _Evil()}, tmp_path / "evil2.pth")
+    whole = _save_pth(resnet18(weights=None).state_dict(), tmp_path).read_bytes()
+    (tmp_path / "cut.pth").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "cut.safetensors").write_bytes(b"\x08")
+    torch.save([1, 2], tmp_path / "list.pth")
+    for name in ("evil.pth", "evil2.pth", "cut.pth", "cut.safetensors", "list.pth", "none.pth"):
+        with pytest.raises(TransferError, match=name.replace(".", r"\.")):
+            read(tmp_path / name)
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_another_architecture_and_another_anchor_count_are_refused(detector: FasterRCNN, tmp_path: Path) -> None:
+    small = _with_height(SHELF["imagenet"].read(str(_save_pth(resnet18(weights=None).state_dict(), tmp_path))))
+    with pytest.raises(
+        TransferError, match=r"backbone\.body\.layer1\.0\.conv1\.weight is \[64, 64, 3, 3\] there and \[64, 64, 1, 1\]"
+    ):
+        copy_parts(small, RPN(), ["backbone"], [*OPTIONAL, "backbone.fpn"])
+    source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path))))
+    with pytest.raises(TransferError, match=r"head\.cls_logits\.weight is \[3, 256, 1, 1\] there and \[5, 256, 1, 1\]"):
+        copy_parts(source, RPN(anchors=5), ["backbone", "head"], OPTIONAL)
+    with pytest.raises(TransferError, match="nothing of it is called backbone"):
+        copy_parts(
+            _with_height({"normalization.mean": torch.zeros(3), "normalization.std": torch.ones(3)}),
+            RPN(),
+            ["backbone"],
+            ["backbone"],
+        )
+
+
+def test_without_a_network_the_mend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def offline(*_: object, **__: object) -> None:
+        raise OSError("no route to host")
+
+    monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", offline)
+    with pytest.raises(TransferError, match=r"bring fasterrcnn_resnet50_fpn_coco-258fb6c6\.pth .* task\.weights=FILE"):
+        SHELF["coco"].read(None)
+
+
+def test_keys_of_this_project_stay_as_they_are() -> None:
+    state = RPN("resnet18").state_dict()
+    assert set(to_our_keys(state)) == set(state)
