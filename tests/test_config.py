@@ -30,6 +30,30 @@ def test_exactly_the_sensible_cells_are_legal(config: Callable, task: str, trans
             validate(cfg)
 
 
+@pytest.mark.parametrize(
+    ("task", "transfer", "model", "mend"),
+    [
+        ("imagenet", "backbone", "rpn_r50_fpn", None),
+        ("imagenet", "full", "rpn_r50_fpn", "use transfer=backbone"),
+        ("imagenet", "fixed", "rpn_r50_fpn", "use transfer=backbone"),
+        ("imagenet", "backbone", "fcn7", "add model=rpn_r50_fpn"),
+        ("coco", "backbone", "rpn_r50_fpn", None),
+        ("coco", "full", "rpn_r50_fpn", None),
+        ("coco", "fixed", "rpn_r50_fpn", None),
+        ("coco", "full", "fcn7", "add model=rpn_r50_fpn"),
+    ],
+)
+def test_off_the_shelf_weights_fit_one_network(
+    config: Callable, task: str, transfer: str, model: str, mend: str | None
+) -> None:
+    cfg = config(f"task={task}", f"transfer={transfer}", f"model={model}")
+    if mend:
+        with pytest.raises(ConfigError, match=mend):
+            validate(cfg)
+    else:
+        validate(cfg)
+
+
 def test_design_numbers_are_the_defaults(config: Callable) -> None:
     for primitive, attempts, angles, at in (("suction", 60, 1, [0, 60, 150, 300]), ("grasp", 150, 16, [0, 150, 350, 400])):
         cfg = config(f"primitive={primitive}")

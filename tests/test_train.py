@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torchvision.models.detection import fasterrcnn_resnet50_fpn
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 TINY = (
@@ -44,6 +45,14 @@ def _rows(folder: Path) -> list[dict[str, str]]:
         return [{k: v for k, v in row.items() if not k.startswith("t_")} for row in csv.DictReader(file)]
 
 
+COCO = (
+    "logger=none",
+    "model=rpn_r50_fpn",
+    "~model.width",
+    "task=coco",
+    "task.off_the_shelf.epsilon=1e-5",
+    "finetune.attempts=2",
+)
 RUN = ("task=foreground", "primitive=grasp", "finetune.attempts=6", "finetune.episode_attempts=3")
 
 
@@ -120,7 +129,7 @@ def test_a_vision_model_of_another_width_is_refused_before_any_work(run: tuple[P
     foreign.write_text("no checkpoint")
     for file, words in (
         (weights, "backbone.0.weight is [4, 4, 3, 3] there and [8, 4, 3, 3] here"),
-        (foreign, "no vision checkpoint"),
+        (foreign, "cannot be read"),
     ):
         command = _command(tmp_path / "run", tmp_path / "cache", "model.width=8", f"task.weights={file}")
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
@@ -155,6 +164,27 @@ def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
     assert [e["step"] for e in result["evals"]] == [0]
     assert {p.name for p in (tmp_path / "fixed" / "checkpoints").iterdir()} == {"vision.ckpt", "affordance.ckpt"}
     assert result["curve"] == []
+
+
+def test_off_the_shelf_weights_from_a_file(tmp_path: Path, cache: Path) -> None:
+    """As a user would bring them; random values in the true layout."""
+    file = tmp_path / "fasterrcnn.pth"
+    torch.manual_seed(0)
+    torch.save(fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None).state_dict(), file)
+    folder = tmp_path / "coco"
+    _train(folder, cache, *COCO, f"task.weights={file}")
+    report = json.loads((folder / "transfer.json").read_text())
+    assert list(report["left_at_initialisation"]) == ["backbone.depth.weight"]
+    assert report["copied"]["head.cls_logits.weight"] == [3, 256, 1, 1]
+    assert (folder / "result.json").exists()
+
+
+def test_the_rpn_learns_to_see_and_to_act(tmp_path: Path, cache: Path) -> None:
+    rpn = ("model=rpn_r50_fpn", "model.backbone=resnet18", "~model.width", "task=foreground", "primitive=grasp")
+    _train(tmp_path / "rpn", cache, "logger=none", *rpn, "finetune.attempts=2")
+    report = json.loads((tmp_path / "rpn" / "transfer.json").read_text())
+    assert not report["left_at_initialisation"]
+    assert (tmp_path / "rpn" / "result.json").exists()
 
 
 def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> None:
