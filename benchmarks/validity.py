@@ -55,8 +55,8 @@ def measure(overrides: list[str], primitive: str, split: Split, policy: str, sce
             objects[name][1] += 1
             successes += done.outcome.success
             attempts += 1
+            lost += done.outcome.lost
         left += len(robot.scene.bodies)
-        lost += robot.lost
     robot.close()
     low, high = wilson(successes, attempts)
     row: dict[str, Any] = {

@@ -12,7 +12,7 @@ from see2act.files import replacing
 
 COLUMNS = (
     *("phase", "split", "policy", "run", "step", "episode", "scene_seed", "primitive"),
-    *("row", "col", "angle", "x", "y", "z", "score", "explore", "success", "truth", "cause", "robot_seconds"),
+    *("row", "col", "angle", "x", "y", "z", "score", "explore", "success", "truth", "cause", "lost", "robot_seconds"),
     *("t_observe", "t_decide", "t_act", "t_learn", "t_total"),
 )
 TIMES = COLUMNS[-5:]
@@ -44,6 +44,7 @@ class AttemptsCsv:
             **{"x": f"{pick.x:.5f}", "y": f"{pick.y:.5f}", "z": f"{pick.z:.6f}"},
             **{"score": f"{attempt.choice.score:.6f}", "explore": int(attempt.choice.explored)},
             **{"success": int(outcome.success), "truth": int(outcome.truth), "cause": outcome.cause},
+            "lost": outcome.lost,
             "robot_seconds": f"{outcome.robot_seconds:.3f}",
             **{name: f"{value:.4f}" for name, value in zip(TIMES, (*times, sum(times)), strict=True)},
         }

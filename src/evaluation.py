@@ -78,9 +78,10 @@ def _split(
             record(done, split=split, policy=policy.name, run=run, episode=run, scene_seed=seed)
             results.append(done.outcome)
             bar.update()
+        lost = sum(outcome.lost for outcome in results)
         successes = sum(outcome.success for outcome in results)
         truths += sum(outcome.truth for outcome in results)
-        runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results), "lost": robot.lost})
+        runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results), "lost": lost})
     successes, attempts = (sum(run[k] for run in runs) for k in ("successes", "attempts"))
     rate = successes / attempts if attempts else 0.0
     return {"successes": successes, "attempts": attempts, "rate": rate, "truth_successes": truths, "runs": runs}

@@ -35,8 +35,6 @@ class Robot(ABC):
 
     workspace: Workspace
     primitive: str
-    lost: int = 0
-    """Objects that left the bin since the last reset without having been picked."""
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split) -> None:
@@ -120,7 +118,6 @@ class SimulatedRobot(Robot):
         for attempt in range(REBUILDS):
             rng = generator("scene", scene_seed, attempt)
             self._build()
-            self.lost = 0
             if self.scene.drop(rng, split, count):
                 break
             self.rebuilds += 1
@@ -180,9 +177,8 @@ class SimulatedRobot(Robot):
             self.scene.remove(held)
         arm.home()
         self.scene.settle()
-        self.scene.clear_lost()
-        self.lost = self.scene.lost
-        return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self.simulation.steps - steps)
+        lost = self.scene.clear_lost()
+        return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self.simulation.steps - steps, lost)
 
     def bin_empty(self) -> bool:
         return not self.scene.bodies

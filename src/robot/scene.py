@@ -71,15 +71,13 @@ class Scene:
         self._objects = objects
         self._files = tempfile.TemporaryDirectory()
         self.bodies: list[Body] = []
-        self.lost = 0
-        """Objects that left the bin since the last reset."""
         self.wall_height = config.wall_height
 
     def build(self) -> None:
         """Table and empty bin in an empty simulation."""
         thickness, height = self._config.wall_thickness, self._config.wall_height
         x, y = self._size / 2
-        self.bodies, self.lost = [], 0
+        self.bodies = []
         self.table = self._block((1.0, 0.8, 0.02), (-0.1, 0, -0.03), (0.72, 0.65, 0.55))
         self.floor = self._block((x + thickness, y + thickness, 0.005), (0, 0, -0.005), (0.32, 0.33, 0.35))
         self.walls = self._ring(x, y, thickness / 2, height, (0.25, 0.42, 0.6))
@@ -138,11 +136,11 @@ class Scene:
             self._simulation.client.removeBody(i)
         self.bodies = [body for body in self.bodies if body.id not in ids]
 
-    def clear_lost(self) -> None:
-        """Remove and count what has left the bin."""
+    def clear_lost(self) -> int:
+        """Remove what has left the bin, and count it."""
         out = {body.id for body in self.bodies if not self._inside(body)}
-        self.lost += len(out)
         self.remove(out)
+        return len(out)
 
     def _inside(self, body: Body) -> bool:
         position = np.array(self._simulation.client.getBasePositionAndOrientation(body.id)[0])

@@ -76,3 +76,5 @@ class Outcome:
     """How long the motion would take on a real arm at the configured speeds."""
     steps: int
     """Simulation steps taken."""
+    lost: int = 0
+    """Objects that left the bin without being picked."""

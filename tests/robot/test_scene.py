@@ -57,3 +57,12 @@ def test_a_scene_follows_from_its_seed_alone(robot: SimulatedRobot) -> None:
     after = robot.observe()
     assert np.array_equal(before.heightmap.height, after.heightmap.height)
     assert np.array_equal(before.color, after.color)
+
+
+def test_an_object_that_leaves_the_bin_is_counted(robot: SimulatedRobot) -> None:
+    robot.reset(3, "seen", 2)
+    gone = robot.scene.bodies[0].id
+    robot.simulation.client.resetBasePositionAndOrientation(gone, (0.5, 0.3, 0.05), (0, 0, 0, 1))
+    outcome = robot.execute(robot.workspace.pick(robot.observe().heightmap, 10, 10, 0.0))
+    assert outcome.lost == 1
+    assert robot.objects_left == 1
