@@ -17,7 +17,7 @@ from torchvision.models.detection import fasterrcnn_resnet50_fpn
 TRAIN = Path(__file__).parents[1] / "train.py"
 TINY = (
     *("collect.interactions=10", "pretrain.epochs=1", "pretrain.batch_size=4", "finetune.updates=2", "finetune.batch_size=4"),
-    *("evaluate.attempts.seen=2", "evaluate.attempts.unseen=2", "figures.scenes=1", "model.width=4"),
+    *("evaluate.attempts.seen=2", "evaluate.attempts.unseen=2", "figures.scenes=1"),
 )
 PICTURES = {"learning_curve.png", "labels.png", "heatmaps.png", "picks.png"}
 
@@ -30,7 +30,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _command(folder: Path, cache: Path, *overrides: str) -> list[str]:
-    return [sys.executable, str(TRAIN), *TINY, f"hydra.run.dir={folder}", f"paths.cache={cache}", *overrides]
+    width = () if "model=rpn_r50_fpn" in overrides else ("model.width=4",)
+    return [sys.executable, str(TRAIN), *TINY, *width, f"hydra.run.dir={folder}", f"paths.cache={cache}", *overrides]
 
 
 def _train(folder: Path, cache: Path, *overrides: str) -> str:
@@ -48,7 +49,6 @@ def _rows(folder: Path) -> list[dict[str, str]]:
 COCO = (
     "logger=none",
     "model=rpn_r50_fpn",
-    "~model.width",
     "task=coco",
     "task.off_the_shelf.epsilon=1e-5",
     "finetune.attempts=2",
@@ -172,7 +172,7 @@ def test_off_the_shelf_weights_from_a_file(tmp_path: Path, cache: Path) -> None:
     torch.manual_seed(0)
     torch.save(fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None).state_dict(), file)
     folder = tmp_path / "coco"
-    _train(folder, cache, *COCO, f"task.weights={file}", "finetune.attempts=2")
+    _train(folder, cache, *COCO, f"task.weights={file}", "transfer=fixed")
     report = json.loads((folder / "transfer.json").read_text())
     assert list(report["left_at_initialisation"]) == ["backbone.depth.weight"]
     assert report["copied"]["head.cls_logits.weight"] == [3, 256, 1, 1]
@@ -180,8 +180,9 @@ def test_off_the_shelf_weights_from_a_file(tmp_path: Path, cache: Path) -> None:
 
 
 def test_the_rpn_learns_to_see_and_to_act(tmp_path: Path, cache: Path) -> None:
-    rpn = ("model=rpn_r50_fpn", "model.backbone=resnet18", "~model.width", "task=foreground", "primitive=grasp")
-    _train(tmp_path / "rpn", cache, "logger=none", *rpn, "finetune.attempts=2")
+    rpn = ("model=rpn_r50_fpn", "model.backbone=resnet18", "task=foreground", "primitive=grasp")
+    few = ("finetune.attempts=1", "evaluate.attempts.seen=1", "evaluate.attempts.unseen=1")
+    _train(tmp_path / "rpn", cache, "logger=none", *rpn, *few)
     report = json.loads((tmp_path / "rpn" / "transfer.json").read_text())
     assert not report["left_at_initialisation"]
     assert (tmp_path / "rpn" / "result.json").exists()
@@ -193,6 +194,7 @@ def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> 
         str(TRAIN),
         "-m",
         *TINY,
+        "model.width=4",
         "logger=none",
         f"paths.cache={cache}",
         "task=none,normal",
