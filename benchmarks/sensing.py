@@ -106,10 +106,11 @@ def main() -> None:
     """The command."""
     parser = arguments(__doc__)
     parser.add_argument("--attempts", type=int, default=120, metavar="N", help="of each kind and primitive (default 120)")
+    parser.add_argument("--primitives", nargs="+", default=["suction", "grasp"], metavar="NAME")
     args = parser.parse_args()
-    jobs = [(args.overrides, primitive, kind, 0, args.attempts) for primitive in ("suction", "grasp") for kind in KINDS]
+    jobs = [(args.overrides, primitive, kind, 0, args.attempts) for primitive in args.primitives for kind in KINDS]
     rows = list(spread(measure, jobs, args.workers, "sensing"))
-    for primitive in ("suction", "grasp"):
+    for primitive in args.primitives:
         parts = [row for row in rows if row["primitive"] == primitive and row["kind"] in KINDS]
         total = {"primitive": primitive, "kind": "all"} | {name: sum(row[name] for row in parts) for name in list(parts[0])[2:]}
         rows.append(total)
