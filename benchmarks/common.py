@@ -10,33 +10,33 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_module
-from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
-from see2act.config import register
 from see2act.files import write_json
 from tqdm import tqdm
+
+PRIMITIVES = ("suction", "grasp")
 
 
 def arguments(description: str | None) -> argparse.ArgumentParser:
     """A parser with the options that all measurements have."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows here")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (default 2)")
+    parser.add_argument("--workers", type=at_least_one, default=2, metavar="N", help="processes (default 2)")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration, as for train.py")
     return parser
 
 
-def config(overrides: Sequence[str]) -> DictConfig:
-    """The configuration of a run with these overrides."""
-    register()
-    with initialize_config_module("see2act.conf", version_base="1.3"):
-        return compose("train", ["paths.output=.", *overrides])
+def at_least_one(text: str) -> int:
+    """A count on the command line."""
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{count} is too small: at least 1")
+    return count
 
 
 def spread(function: Callable[..., Any], jobs: Sequence[tuple], workers: int, title: str) -> Iterator[Any]:
-    """Results of ``function(*job)`` for each job, in order, from fresh processes."""
+    """Results of ``function(*job)`` for each job, in order, from processes of their own."""
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         yield from tqdm(pool.map(function, *zip(*jobs, strict=True)), total=len(jobs), desc=title)
 

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 from see2act import build
+from see2act.config import composed
 from see2act.seeding import generator, seed_for
 
-from benchmarks.common import arguments, config, finish
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish
 
 PICKS = 5
 """In each scene, on random pixels of objects."""
@@ -26,7 +27,7 @@ PICKS = 5
 
 def play(overrides: list[str], primitive: str, scenes: list[int]) -> dict[int, list[str]]:
     """For each scene a line per pick: a hash of what was seen, exact and sensed, and the outcome with all its digits."""
-    cfg = config([*overrides, f"primitive={primitive}"])
+    cfg = composed([*overrides, f"primitive={primitive}"])
     robot = build.robot_factory(cfg, cfg.primitive)()
     lines: dict[int, list[str]] = {}
     for scene in scenes:
@@ -81,9 +82,9 @@ def _burn() -> None:
 def main() -> None:
     """The command."""
     parser = arguments(__doc__)
-    parser.add_argument("--scenes", type=int, default=20, metavar="N", help="of five picks each (default 20)")
+    parser.add_argument("--scenes", type=at_least_one, default=20, metavar="N", help="of five picks each (default 20)")
     args = parser.parse_args()
-    rows = [compare(args.overrides, primitive, args.scenes) for primitive in ("suction", "grasp")]
+    rows = [compare(args.overrides, primitive, args.scenes) for primitive in PRIMITIVES]
     finish("The same picks in two processes, one of them on busy cores", rows, args.json)
 
 

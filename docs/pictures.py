@@ -7,11 +7,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from hydra import compose, initialize_config_module
 from matplotlib import colormaps
 from omegaconf import DictConfig
 from see2act import build
-from see2act.config import register
+from see2act.config import composed
 from see2act.robot.oracle import oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.video import BYSTANDER
@@ -22,9 +21,7 @@ SCENE = 4
 
 def make(*overrides: str) -> tuple[SimulatedRobot, DictConfig]:
     """The default robot, and its configuration."""
-    register()
-    with initialize_config_module("see2act.conf", version_base="1.3"):
-        cfg = compose("train", ["paths.output=.", *overrides])
+    cfg = composed(overrides)
     return build.robot_factory(cfg, cfg.primitive)(), cfg
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from hydra.utils import get_object
 from omegaconf import MISSING, DictConfig, OmegaConf
@@ -165,6 +167,13 @@ def register() -> None:
     """Make the schema and the hash known to Hydra; safe to call twice."""
     ConfigStore.instance().store("schema", Config)
     OmegaConf.register_new_resolver("config_hash", lambda _root_: config_hash(_root_), replace=True)
+
+
+def composed(overrides: Sequence[str] = ()) -> DictConfig:
+    """The configuration of a run, for use without the command line: in tests, measurements, notebooks."""
+    register()
+    with initialize_config_module("see2act.conf", version_base="1.3"):
+        return compose("train", ["paths.output=.", *overrides])
 
 
 def config_hash(cfg: DictConfig) -> str:

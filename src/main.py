@@ -192,6 +192,8 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float:
         log.info("force=true: the earlier run is now in %s", aside)
     if result.exists():
         log.info("this run is finished already; force=true runs it anew: %s", result)
+        if cfg.robot.get("video") and not (folder / "video.mp4").exists():
+            log.info("it was not filmed, and only force=true makes a film of it")
         return float(json.loads(result.read_text())["eval"]["unseen"]["rate"])
     # Imported late: torch and lightning take seconds, which --help should not.
     import torch

@@ -5,23 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import pytest
-from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 from see2act import build
-from see2act.config import register
+from see2act.config import composed
 from see2act.robot.robot import SimulatedRobot
 
 
 @pytest.fixture(scope="session")
 def config() -> Callable[..., DictConfig]:
     """Composes the real configuration with overrides."""
-    register()
-
-    def composed(*overrides: str) -> DictConfig:
-        with initialize_config_module("see2act.conf", version_base="1.3"):
-            return compose("train", ["paths.output=.", *overrides])
-
-    return composed
+    return lambda *overrides: composed(overrides)
 
 
 @pytest.fixture(scope="session")

@@ -31,11 +31,12 @@ class Shape:
 
     @property
     def width(self) -> float:
-        """Metres that a gripper must span: the middle side of the bounding box of the slimmest part.
+        """Metres that a gripper must span: the middle side of the bounding box of the largest part.
 
-        Whichever face a part lies on, one of its two horizontal sides is no longer than the middle one.
+        Whichever face that lies on, one of its two horizontal sides is no longer than the middle one.
         """
-        return min(float(np.sort(part.extents)[1]) for part in self.parts)
+        largest = max(self.parts, key=lambda part: part.volume)
+        return float(np.sort(largest.extents)[1])
 
     def obj(self) -> str:
         """Wavefront text with one ``o`` group a part: Bullet makes each group a convex hull of its own."""

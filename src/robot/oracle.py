@@ -1,4 +1,4 @@
-"""Where a pick would succeed, planned from the objects' poses and meshes: the ceiling that no policy can pass.
+"""Where a pick would succeed, planned from the objects' poses and meshes: what is possible, beside what was learned.
 
 The oracle casts rays at the collision meshes where they lie. It never tries a pick in the simulator, and what it
 chooses is executed as any other pixel is: at the height that the camera sensed there.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections import Counter
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +15,9 @@ from see2act.robot.arm import Arm, ArmConfig
 from see2act.robot.camera import Camera
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.objects import ObjectSet
-from see2act.robot.scene import BinConfig, Scene
+from see2act.robot.scene import BinConfig, Refusal, Scene
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause, Heightmap, Observation, Outcome, Pick, Split, Truth
+from see2act.robot.types import Cause, Heightmap, Observation, Outcome, Pick, RobotError, Split, Truth
 from see2act.robot.workspace import Workspace
 from see2act.seeding import generator
 
@@ -66,7 +66,9 @@ class _Contact:
     """What the tool ran into during a descent."""
 
     object: bool = False
-    wall: bool = False
+    """Whether it touched any."""
+    wall: float = 0.0
+    """Newtons from the bin's walls, at the last look."""
 
 
 class SimulatedRobot(Robot):
@@ -105,8 +107,8 @@ class SimulatedRobot(Robot):
         self.arm = Arm(self.simulation, arm, urdf.mount(urdf.ur5(), end_effector.urdf()))
         self.scene = Scene(self.simulation, bin, workspace.width, workspace.length, objects)
         self._background: Heightmap | None = None
-        self.rebuilds = 0
-        """Scenes that would not settle and were rebuilt from the next sub-seed."""
+        self.rebuilds: Counter[Refusal] = Counter()
+        """Why scenes were refused, and rebuilt from the next sub-seed."""
 
     @property
     def objects_left(self) -> int:
@@ -118,11 +120,15 @@ class SimulatedRobot(Robot):
         for attempt in range(REBUILDS):
             rng = generator("scene", scene_seed, attempt)
             self._build()
-            if self.scene.drop(rng, split, count):
+            refused = self.scene.drop(rng, split, count)
+            if refused is None:
                 break
-            self.rebuilds += 1
+            self.rebuilds[refused] += 1
         else:
-            raise RuntimeError(f"scene {scene_seed} did not settle in {REBUILDS} tries: raise robot.bin.settle_steps")
+            raise RobotError(
+                f"scene {scene_seed} was dropped {REBUILDS} times and is still {refused}: "
+                "raise robot.bin.settle_steps (restless), robot.bin.margin (spilled, scattered) or lower robot.bin.touching"
+            )
         self._noise = generator("sensor", scene_seed)
 
     def background(self) -> Heightmap:
@@ -156,13 +162,15 @@ class SimulatedRobot(Robot):
         before = self.scene.positions()
         above, at = self._path(pick)
         down = arm.line(above, at, pick.angle, self._config.tool_speed)
-        if down is None:
+        # The lift starts wherever the descent was stopped, at most where it began.
+        up = arm.line(above, above + [0, 0, LIFT], pick.angle, self._config.tool_speed)
+        if down is None or up is None:
             return Outcome(False, False, "unreachable", 0.0, 0.0, 0)
         tool.prepare()
         arm.move(down[0])
         contact = _Contact()
-        blocked = arm.follow(down, until=self._blocked(contact))
-        stopped = blocked and contact.wall  # a protective stop: the tool stays as it is and the arm withdraws
+        blocked = arm.follow(down, until=lambda: self._note_contact(contact) > tool.contact_limit)
+        stopped = blocked and contact.wall > tool.contact_limit / 2  # a protective stop: the arm withdraws at once
         engaged = False
         if not stopped:
             tool.engage()
@@ -171,7 +179,11 @@ class SimulatedRobot(Robot):
         self._lift(pick)
         reading, success = (0.0, False) if stopped else tool.sense()
         held = self._held(before)
-        cause = self._cause(success, engaged, blocked, contact)
+        cause: Cause = "missed"
+        if success or stopped:
+            cause = "ok" if success else "wall"
+        elif contact.object:
+            cause = tool.why_failed(engaged, blocked)
         tool.release()
         if success:
             self.scene.remove(held)
@@ -212,7 +224,7 @@ class SimulatedRobot(Robot):
     def _lift(self, pick: Pick) -> None:
         start = self.arm.commanded_position
         up = self.arm.line(start, start + [0, 0, LIFT], pick.angle, self._config.tool_speed)
-        assert up is not None, "the lift retraces the reachable descent"
+        assert up is not None, "execute() has checked the highest lift, and the arm reaches all below"
 
         def tend() -> bool:
             self.tool.update_hold()
@@ -221,21 +233,12 @@ class SimulatedRobot(Robot):
         self.arm.follow(up, until=tend)
         self.arm.wait(HOLD_STEPS, until=tend)
 
-    def _blocked(self, contact: _Contact) -> Callable[[], bool]:
-        """After each step of a descent: whether the tool meets more force than it may."""
-
-        def blocked() -> bool:
-            force = self._note_contact(contact)
-            return force > self.tool.contact_limit
-
-        return blocked
-
     def _note_contact(self, contact: _Contact) -> float:
-        """Newtons on the robot; remembers in ``contact`` what it touched."""
+        """Newtons on the robot; remembers in ``contact`` what it touches."""
         points = self.simulation.client.getContactPoints(bodyA=self.arm.body)
-        touched = {point[2] for point in points if point[9] > 0}
-        contact.wall |= not touched.isdisjoint(self.scene.walls)
-        contact.object |= any(body.id in touched for body in self.scene.bodies)
+        objects = {body.id for body in self.scene.bodies}
+        contact.object |= any(point[2] in objects and point[9] > 0 for point in points)
+        contact.wall = float(sum(point[9] for point in points if point[2] in self.scene.walls))
         return float(sum(point[9] for point in points))
 
     def _held(self, before: dict[int, np.ndarray]) -> set[int]:
@@ -249,10 +252,3 @@ class SimulatedRobot(Robot):
             if not any(client.getContactPoints(body, b) for b in (self.scene.floor, *self.scene.walls)):
                 held.add(body)
         return held
-
-    def _cause(self, success: bool, engaged: bool, blocked: bool, contact: _Contact) -> Cause:
-        if success:
-            return "ok"
-        if blocked and contact.wall:
-            return "wall"
-        return self.tool.why_failed(engaged, blocked) if contact.object else "missed"

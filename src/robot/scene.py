@@ -6,16 +6,22 @@ import colorsys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from see2act.robot.objects import ObjectSet, shape
 from see2act.robot.simulation import Simulation
 from see2act.robot.types import Split
 
-AT_REST = 0.01
-"""m/s. Slower than this an object counts as lying still."""
+AT_REST, TURNING = 0.01, 0.5
+"""m/s and rad/s. What is slower counts as lying still."""
+STILL_CHECKS = 4
+"""Times in a row, ten timesteps apart, that all must lie still: what tips over is slow for a moment too."""
 TOUCHING = 0.001
 """Metres between two objects that count as touching."""
+
+Refusal = Literal["restless", "spilled", "scattered"]
+"""Objects that do not come to rest, that lie outside the bin, that lie apart."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +88,11 @@ class Scene:
         self.floor = self._block((x + thickness, y + thickness, 0.005), (0, 0, -0.005), (0.32, 0.33, 0.35))
         self.walls = self._ring(x, y, thickness / 2, height, (0.25, 0.42, 0.6))
 
-    def drop(self, rng: np.random.Generator, split: Split, count: int | None = None) -> bool:
+    def drop(self, rng: np.random.Generator, split: Split, count: int | None = None) -> Refusal | None:
         """Let objects fall in one after the other and wait until they lie still; all of them, or only ``count``.
 
         Returns:
-            Whether all of them lie still inside the bin, and close together. If not, start over with another generator.
+            Why the scene is no good, if it is not: then start over with another generator.
         """
         client = self._simulation.client
         area = self._size / 2 - self._config.margin
@@ -102,23 +108,28 @@ class Scene:
         self.settle(self._config.settle_steps)
         for guide in guides:
             client.removeBody(guide)
-        still = self.settle(self._config.settle_steps)
-        cluttered = count is not None or self.touching() >= self._config.touching
-        return still and cluttered and all(self._inside(body) for body in self.bodies)
+        if not self.settle(self._config.settle_steps):
+            return "restless"
+        if not all(self._inside(body) for body in self.bodies):
+            return "spilled"
+        scattered = count is None and len(self.bodies) > 1 and self.touching() < self._config.touching
+        return "scattered" if scattered else None
 
     def settle(self, steps: int | None = None) -> bool:
         """Step until every object lies still, at most ``steps`` times; whether they do."""
+        still = 0
         for i in range(self._config.rest_steps if steps is None else steps):
             self._simulation.step()
-            # Not before a few steps: what was let go of just now is slow, but not at rest.
-            if i % 10 == 9 and self.at_rest():
-                return True
-        return self.at_rest()
+            if i % 10 == 9:
+                still = still + 1 if self.at_rest() else 0
+                if still == STILL_CHECKS:
+                    return True
+        return False
 
     def at_rest(self) -> bool:
-        """Whether every object moves slower than 1 cm/s."""
-        velocities = [self._simulation.client.getBaseVelocity(body.id)[0] for body in self.bodies]
-        return all(np.linalg.norm(velocity) < AT_REST for velocity in velocities)
+        """Whether every object moves slower than 1 cm/s and turns slower than 0.5 rad/s."""
+        velocities = [self._simulation.client.getBaseVelocity(body.id) for body in self.bodies]
+        return all(np.linalg.norm(v) < AT_REST and np.linalg.norm(w) < TURNING for v, w in velocities)
 
     def touching(self) -> float:
         """Share of the objects that touch another."""

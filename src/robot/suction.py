@@ -138,10 +138,11 @@ class SuctionCup(EndEffector):
         normal = np.linalg.svd(centred)[2][2]
         off_plane = float(np.abs(centred @ normal).max())
         tilt = float(np.arccos(min(1.0, abs(normal @ rotation[:, 2]))))
-        gap = float(((hits.position - position) @ rotation[:, 2]).min())
-        if off_plane > self.flatness or tilt > self.tilt or gap > self.flatness:
+        body = bodies.pop()
+        pressed = any(p[9] > 0 for p in self._simulation.client.getContactPoints(self._arm.body, body, self._cup))
+        if off_plane > self.flatness or tilt > self.tilt or not pressed:
             return None, 0.0
-        return bodies.pop(), 1 - self._leak * off_plane / self.flatness
+        return body, 1 - self._leak * off_plane / self.flatness
 
     def _attach(self, body: int) -> None:
         client = self._simulation.client

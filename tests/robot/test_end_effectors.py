@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from see2act.robot.gripper import DRIVER, FOLLOWERS, PADS, opening
 from see2act.robot.robot import SimulatedRobot
-from see2act.robot.types import Outcome
+from see2act.robot.types import Outcome, Pick
 
 
 @pytest.fixture(scope="module")
@@ -146,11 +146,26 @@ def test_the_arm_ends_at_home_and_counts_its_time(suction: SimulatedRobot) -> No
     assert outcome.steps >= outcome.robot_seconds * 240 - 1
 
 
-def test_a_cup_that_stops_short_of_the_surface_does_not_seal(suction: SimulatedRobot) -> None:
+@pytest.mark.parametrize("gap", [0.0025, 0.006])
+def test_a_cup_that_stops_short_of_the_surface_does_not_seal(suction: SimulatedRobot, gap: float) -> None:
     """When the sensed height is too high, the cup hangs in the air above the object."""
     _place(suction, "cube", (0.0, 0.0, 0.03))
     heightmap = suction.truth().heightmap
     pick = suction.workspace.pick(heightmap, 72, 72, 0.0)
-    outcome = suction.execute(replace(pick, z=pick.z + 0.010))
+    outcome = suction.execute(replace(pick, z=pick.z + suction.tool.press + gap))
     assert (outcome.success, outcome.truth) == (False, False)
     assert suction.execute(pick).success
+
+
+def test_the_cup_s_holder_on_the_wall_stops_there(suction: SimulatedRobot) -> None:
+    _place(suction, "cube", (-0.08, 0.08, 0.03))
+    outcome = _pick(suction, 0.178, 0.0)
+    assert (outcome.success, outcome.truth, outcome.cause) == (False, False, "wall")
+
+
+def test_a_pick_out_of_reach_is_a_failed_attempt(suction: SimulatedRobot) -> None:
+    """Also where only the lift would be out of reach."""
+    _place(suction, "cube", (-0.08, 0.08, 0.03))
+    for pick in (Pick(0, 0, 0.0, 2.0, 0.0, 0.0), Pick(0, 0, 0.0, 0.38, 0.0, 0.18)):
+        outcome = suction.execute(pick)
+        assert (outcome.success, outcome.cause, outcome.steps) == (False, "unreachable", 0)

@@ -67,6 +67,7 @@ def test_shape_is_centred_convex_parts_that_fit_the_gripper(name: str) -> None:
     ("changes", "message"),
     [
         ({"scale": (0.8, 3.0)}, "does not fit the gripper's 80 mm"),
+        ({"scale": (0.8, 1.7), "seen": ("channel", "brick", "can", "ell", "tee")}, "'channel' at scale 1.7 is 85 mm across"),
         ({"scale": (1.2, 0.8)}, r"0 < low <= high, got \[1.2, 0.8\]"),
         ({"seen": ("cube", "teapot", "can", "ell", "tee")}, "no object is called 'teapot'"),
         ({"seen": ("cube",)}, "lists 1 objects, a scene needs 5"),
