@@ -107,15 +107,7 @@ class Gripper(EndEffector):
 
     def engage(self) -> None:
         self._drive(0.8)
-        still = 0
-
-        def stalled() -> bool:
-            nonlocal still
-            moving = abs(self._simulation.client.getJointState(self._arm.body, self._driver)[1]) > 0.02
-            still = 0 if moving else still + 1
-            return still >= 12
-
-        self._arm.wait(self._close_steps, stalled)
+        self._wait_until_still()
 
     def engaged(self) -> bool:
         return opening(self._angle()) > self.threshold
@@ -127,11 +119,24 @@ class Gripper(EndEffector):
         """Friction alone decides."""
 
     def sense(self) -> tuple[float, bool]:
+        # Fingers that have just lost an object are still on their way, and as far apart as if they held it.
+        self._wait_until_still()
         gap = opening(self._angle())
         return gap, gap > self.threshold
 
     def release(self) -> None:
         self._drive(0.0)
+
+    def _wait_until_still(self) -> None:
+        still = 0
+
+        def stalled() -> bool:
+            nonlocal still
+            moving = abs(self._simulation.client.getJointState(self._arm.body, self._driver)[1]) > 0.02
+            still = 0 if moving else still + 1
+            return still >= 12
+
+        self._arm.wait(self._close_steps, stalled)
 
     def _angle(self) -> float:
         return float(self._simulation.client.getJointState(self._arm.body, self._driver)[0])
