@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from see2act.robot.simulation import Simulation
 
 NEAR, FAR = 0.1, 3.0
@@ -30,6 +30,7 @@ class DepthNoise:
             such readings grows as 1 / (pi / 2 - angle)^2 (Nguyen, Izadi and Lovell 2012, whose model passes 8 mm at 80
             degrees), and block matching rejects them.
         grazing_rate: Probability that it does.
+        transparent_rate: Probability that a pixel on a transparent object has no reading; otherwise it reads what is behind.
     """
 
     baseline: float = 0.055
@@ -41,6 +42,7 @@ class DepthNoise:
     edge_rate: float = 0.5
     grazing: float = 1.4
     grazing_rate: float = 0.8
+    transparent_rate: float = 0.5
 
     def __call__(
         self, depth: Float[np.ndarray, "h w"], incidence: Float[np.ndarray, "h w"], rng: np.random.Generator
@@ -107,9 +109,30 @@ class Camera:
         pose[:3, 3] = self.position
         return pose
 
-    def sense(self, depth: Float[np.ndarray, "h w"], rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-        """Depth in metres as the sensor reports it, 0 where it has no reading."""
-        return self.noise(depth, self.incidence(depth), rng)
+    def sense(
+        self, depth: Float[np.ndarray, "h w"], transparent: Bool[np.ndarray, "h w"], rng: np.random.Generator
+    ) -> Float[np.ndarray, "h w"]:
+        """Depth in metres as the sensor reports it, 0 where it has no reading.
+
+        Args:
+            depth: Exact, metres.
+            transparent: Where the light goes through to the bin's floor, if it comes back at all.
+            rng: Decides everything random here.
+        """
+        if transparent.any():
+            depth = np.where(transparent, self.floor_depth(), depth).astype(np.float32)
+        sensed = self.noise(depth, self.incidence(depth), rng)
+        if transparent.any():
+            sensed[transparent & (rng.random(depth.shape) < self.noise.transparent_rate)] = 0
+        return sensed
+
+    def floor_depth(self) -> Float[np.ndarray, "h w"]:
+        """Depth in metres at which each pixel's ray meets the plane z = 0; far where it does not."""
+        rows, cols = (np.arange(n) + 0.5 for n in (self.height, self.width))
+        x = ((cols - self.intrinsics[0, 2]) / self.focal)[None]
+        y = ((rows - self.intrinsics[1, 2]) / self.focal)[:, None]
+        down = -(self.pose[2, 0] * x + self.pose[2, 1] * y + self.pose[2, 2])
+        return np.where(down > 1e-3, self.pose[2, 3] / np.maximum(down, 1e-3), FAR)
 
     def incidence(self, depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
         """Radians between each pixel's ray and the normal of the surface it sees."""

@@ -34,17 +34,6 @@ FLOOR_GAP = 0.002
 """Metres that stay between the closing pads and the floor."""
 
 
-def opening(angle: float) -> float:
-    """Metres between the pads at a driver joint angle in radians."""
-    return float(2 * (PAD_AT_KNUCKLE + CRANK * np.sin(CRANK_OPEN - angle)))
-
-
-def swing(width: np.ndarray) -> np.ndarray:
-    """Metres by which pads at an opening in metres are lower than open ones: they close along an arc."""
-    sine = (width / 2 - PAD_AT_KNUCKLE) / CRANK
-    return CRANK * (np.sqrt(1 - sine.clip(0, np.sin(CRANK_OPEN)) ** 2) - np.cos(CRANK_OPEN))
-
-
 class Gripper(EndEffector):
     """Closes on what lies between its pads; success is a finger opening that stayed above a threshold.
 
@@ -56,6 +45,7 @@ class Gripper(EndEffector):
         threshold: Metres of opening above which something is held.
         friction: Coulomb coefficient of the rubber pads.
         contact_limit: Newtons on the gripper at which a descent stops.
+        size: Factor on the 2F-85, which opens 86 mm; 1.28 opens as far as OnRobot's RG2, 110 mm.
     """
 
     primitive = "grasp"
@@ -69,6 +59,7 @@ class Gripper(EndEffector):
         threshold: float,
         friction: float,
         contact_limit: float,
+        size: float = 1.0,
     ):
         self._depth = depth
         self._torque = torque
@@ -77,9 +68,10 @@ class Gripper(EndEffector):
         self.threshold = threshold
         self._friction = friction
         self.contact_limit = contact_limit
+        self.size = size
 
     def urdf(self) -> ET.Element:
-        return urdf.robotiq()
+        return urdf.robotiq(self.size)
 
     def bind(self, simulation: Simulation, arm: Arm) -> None:
         self._simulation, self._arm = simulation, arm
@@ -97,10 +89,19 @@ class Gripper(EndEffector):
         self._drive(0.0)
 
     def length(self) -> float:
-        return PAD_CENTRE
+        return PAD_CENTRE * self.size
 
     def depth_at(self, surface: np.ndarray) -> np.ndarray:
-        return np.maximum(surface - self._depth, PAD_HALF_HEIGHT + swing(np.array(0.0)) + FLOOR_GAP)
+        return np.maximum(surface - self._depth, PAD_HALF_HEIGHT * self.size + self.swing(np.array(0.0)) + FLOOR_GAP)
+
+    def opening(self, angle: float) -> float:
+        """Metres between the pads at a driver joint angle in radians."""
+        return float(2 * self.size * (PAD_AT_KNUCKLE + CRANK * np.sin(CRANK_OPEN - angle)))
+
+    def swing(self, width: np.ndarray) -> np.ndarray:
+        """Metres by which pads at an opening in metres are lower than open ones: they close along an arc."""
+        sine = (width / 2 / self.size - PAD_AT_KNUCKLE) / CRANK
+        return self.size * CRANK * (np.sqrt(1 - sine.clip(0, np.sin(CRANK_OPEN)) ** 2) - np.cos(CRANK_OPEN))
 
     def prepare(self) -> None:
         self._drive(0.0)
@@ -110,7 +111,7 @@ class Gripper(EndEffector):
         self._wait_until_still()
 
     def engaged(self) -> bool:
-        return opening(self._angle()) > self.threshold
+        return self.opening(self._angle()) > self.threshold
 
     def why_failed(self, engaged: bool, blocked: bool) -> Cause:
         return "collision" if blocked else "slipped"
@@ -121,7 +122,7 @@ class Gripper(EndEffector):
     def sense(self) -> tuple[float, bool]:
         # Fingers that have just lost an object are still on their way, and as far apart as if they held it.
         self._wait_until_still()
-        gap = opening(self._angle())
+        gap = self.opening(self._angle())
         return gap, gap > self.threshold
 
     def release(self) -> None:

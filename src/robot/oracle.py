@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int
-from see2act.robot.gripper import Gripper, swing
+from see2act.robot.gripper import Gripper
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.suction import SuctionCup
 from see2act.robot.types import RobotError
@@ -144,10 +144,10 @@ class _GraspOracle:
         grid = grid.reshape(n, -1, 3)
         width = np.full(n, 0.05)
         for _ in range(2):  # the pads swing down as they close, by how much depends on the width that they meet
-            at = points[:, None] + grid - swing(width)[:, None, None] * [0, 0, 1]
+            at = points[:, None] + grid - self._gripper.swing(width)[:, None, None] * [0, 0, 1]
             sides = [self._side(at, body, sign * jaw) for sign in (-1, 1)]
             reach = np.array([side[0].max(1) for side in sides])
-            width = np.where(np.isfinite(reach.sum(0)), reach.sum(0), 0.05).clip(0, 0.085)
+            width = np.where(np.isfinite(reach.sum(0)), reach.sum(0), 0.05).clip(0, self._gripper.opening(0.0))
         touch = [side[0] > most[:, None] - 0.0015 for side, most in zip(sides, reach, strict=True)]
         both = (touch[0] & touch[1]).sum(1)
         steep = np.degrees(
@@ -167,7 +167,7 @@ class _GraspOracle:
             between the face there and the pad; and for each pick, whether the pad meets no other object.
         """
         n, rays, _ = at.shape
-        half = 0.042 * inward[:, None]
+        half = 0.49 * self._gripper.opening(0.0) * inward[:, None]
         hits = self._robot.simulation.cast((at - half).reshape(-1, 3), (at + half).reshape(-1, 3))
         met, on = hits.body.reshape(n, rays), hits.body.reshape(n, rays) == body
         reach = np.where(on, -((hits.position.reshape(n, rays, 3) - at) * inward[:, None]).sum(-1), -np.inf)
@@ -195,7 +195,7 @@ def _burdens(robot: SimulatedRobot) -> dict[int, int]:
 
 def _underside(robot: SimulatedRobot) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
     """The open gripper from below, at home: offsets along and across the jaws, and metres above the pads' middle."""
-    along, across = np.meshgrid(np.arange(-0.08, 0.0801, 0.004), np.arange(-0.016, 0.0161, 0.004), indexing="ij")
+    along, across = np.meshgrid(np.arange(-0.1, 0.1001, 0.004), np.arange(-0.02, 0.0201, 0.004), indexing="ij")
     centre = robot.arm.tool_position() - [0, 0, robot.tool.length()]
     jaw = robot.arm.tool_rotation()[:, 0]
     side = np.cross([0, 0, 1], jaw)

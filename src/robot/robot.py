@@ -140,8 +140,9 @@ class SimulatedRobot(Robot):
         return self._background
 
     def observe(self) -> Observation:
-        color, depth, _ = self.camera.render(self.simulation)
-        sensed = self.camera.sense(depth, self._noise)
+        color, depth, body = self.camera.render(self.simulation)
+        glass = np.isin(body, [b.id for b in self.scene.bodies if b.transparent])
+        sensed = self.camera.sense(depth, glass, self._noise)
         return Observation(self._heightmap(color, sensed), color, sensed)
 
     def truth(self) -> Truth:

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 from see2act.robot.objects import ObjectSet, shape
 from see2act.robot.simulation import Simulation
+from see2act.robot.textures import TEXTURES
 from see2act.robot.types import Split
 
 AT_REST, TURNING = 0.01, 0.5
@@ -57,6 +59,8 @@ class Body:
     id: int
     name: str
     scale: float
+    transparent: bool
+    """Whether the depth sensor looks through it."""
 
 
 class Scene:
@@ -178,7 +182,15 @@ class Scene:
             linearDamping=0.1,
             angularDamping=0.2,
         )
-        self.bodies.append(Body(body, name, scale))
+        if texture := self._objects.textures.get(name):
+            client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(self._texture(texture))))
+        self.bodies.append(Body(body, name, scale, name in self._objects.transparent))
+
+    def _texture(self, name: str) -> Path:
+        path = Path(self._files.name) / f"{name}.png"
+        if not path.exists():
+            cv2.imwrite(str(path), TEXTURES[name]())
+        return path
 
     def _ring(self, x: float, y: float, half: float, height: float, color: tuple[float, float, float] | None) -> list[int]:
         """Four walls whose inner faces stand at +-x and +-y."""

@@ -26,8 +26,8 @@ def ur5() -> ET.Element:
     return robot
 
 
-def robotiq() -> ET.Element:
-    """The Robotiq 2F-85, its names prefixed with ``gripper_`` and its inertias made simulable."""
+def robotiq(size: float = 1.0) -> ET.Element:
+    """The Robotiq 2F-85, ``size`` times as large, its names prefixed with ``gripper_`` and its inertias made simulable."""
     # The file uses the namespace `drake:` without declaring it, which no XML parser accepts.
     robot = ET.fromstring(GRIPPER.read_text().replace("drake:", "drake_"))
     for element in list(robot):
@@ -35,6 +35,10 @@ def robotiq() -> ET.Element:
             robot.remove(element)
     for mesh in robot.iter("mesh"):
         mesh.set("filename", str((GRIPPER.parent / mesh.get("filename", "")).resolve()))
+        mesh.set("scale", _times(mesh.get("scale", "1 1 1"), size))
+    for shape in (*robot.iter("origin"), *robot.iter("box")):
+        for key in {"xyz", "size"} & set(shape.keys()):
+            shape.set(key, _times(shape.get(key, ""), size))
     for link in robot.iter("link"):
         link.set("name", f"gripper_{link.get('name')}")
         _floor_inertia(link)
@@ -90,6 +94,10 @@ def mount(arm: ET.Element, tool: ET.Element) -> str:
     ET.SubElement(joint, "parent", link="tool0")
     ET.SubElement(joint, "child", link=root.get("name", ""))
     return ET.tostring(arm, encoding="unicode")
+
+
+def _times(numbers: str, factor: float) -> str:
+    return " ".join(str(float(number) * factor) for number in numbers.split())
 
 
 def _package_file(distribution: str, ending: str) -> Path:

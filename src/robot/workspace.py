@@ -20,12 +20,14 @@ class Workspace:
         width: Extent along x, metres.
         length: Extent along y, metres.
         pixel: Side of a pixel, metres.
+        robot_x: World x of the robot's base, metres, so that all of the rectangle is in its reach.
     """
 
     name: str
     width: float
     length: float
     pixel: float
+    robot_x: float = -0.45
 
     def __post_init__(self) -> None:
         if min(self.width, self.length, self.pixel) <= 0:

@@ -78,7 +78,7 @@ def test_readings_are_lost_at_grazing_angles(robot: SimulatedRobot) -> None:
     depth = (1.0 / (1 + slope * v / 230.0)).clip(0.2, 3.0)
     angle = np.degrees(np.abs(np.radians(79) - np.arctan(v / 230.0)))
     assert np.allclose(np.degrees(camera.incidence(depth))[80:140, 160], angle[80:140, 160], atol=0.5)
-    lost = camera.sense(depth, np.random.default_rng(0)) == 0
+    lost = camera.sense(depth, np.zeros(depth.shape, bool), np.random.default_rng(0)) == 0
     assert angle[85:].max() < 79
     assert not lost[85:].any()
     assert angle[57:67].min() > 81

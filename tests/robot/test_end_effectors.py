@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from see2act.robot.gripper import DRIVER, FOLLOWERS, PADS, opening
+from see2act.robot.gripper import DRIVER, FOLLOWERS, PADS
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Outcome, Pick
 
@@ -47,7 +47,7 @@ def test_fingers_follow_the_driver_and_open_as_the_formula_says(gripper: Simulat
     for name, sign in FOLLOWERS.items():
         assert client.getJointState(arm.body, arm.joint_index[name])[0] == pytest.approx(sign * driver, abs=0.01)
     pads = [np.array(client.getLinkState(arm.body, arm.link_index[pad], computeForwardKinematics=1)[4]) for pad in PADS]
-    assert np.linalg.norm(pads[0] - pads[1]) - 0.00635 == pytest.approx(opening(driver), abs=0.002)
+    assert np.linalg.norm(pads[0] - pads[1]) - 0.00635 == pytest.approx(gripper.tool.opening(driver), abs=0.002)
 
 
 @pytest.mark.parametrize("k", [0, 5, 11])

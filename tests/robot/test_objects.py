@@ -9,7 +9,8 @@ import trimesh
 from hydra.utils import instantiate
 from see2act.datamodules.labels import plane_fit
 from see2act.robot import objects
-from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, read_mesh, shape
+from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape
+from see2act.robot.solids import read_mesh
 from see2act.robot.types import RobotError
 
 

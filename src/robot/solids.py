@@ -1,0 +1,84 @@
+"""Convex solids, the parts that objects are built from. Metres, origin wherever it is easiest."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import QhullError
+from see2act.robot.types import RobotError
+
+
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """A mesh file (STL, OBJ, ...).
+
+    Raises:
+        RobotError: It does not exist, cannot be read, or encloses no volume.
+    """
+    if not path.is_file():
+        raise RobotError(f"object file {path} does not exist: run `make install`, or check the path")
+    try:
+        mesh = trimesh.load_mesh(path)
+    except Exception as error:  # trimesh lets through whatever its many readers raise
+        raise RobotError(f"object file {path} is no mesh that trimesh can read: {error}") from None
+    try:
+        volume = mesh.convex_hull.volume
+    except (QhullError, ValueError):  # fewer than four points, or all of them in a plane
+        volume = 0.0
+    if volume <= 0:
+        raise RobotError(f"object file {path} has no volume: an object must be solid")
+    return mesh
+
+
+def box(x: float, y: float, z: float, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
+    return trimesh.creation.box((x, y, z), trimesh.transformations.translation_matrix(at))
+
+
+def prism(corners: np.ndarray, height: float) -> trimesh.Trimesh:
+    """A convex polygon (n, 2), extruded along z."""
+    low = np.column_stack([corners, np.zeros(len(corners))])
+    return trimesh.convex.convex_hull(np.concatenate([low, low + [0, 0, height]]))
+
+
+def half_round(radius: float, length: float) -> trimesh.Trimesh:
+    angles = np.linspace(0, np.pi, 17)
+    return prism(radius * np.column_stack([np.cos(angles), np.sin(angles)]), length)
+
+
+def rgb_object(code: str, scale: float = 1.0) -> list[trimesh.Trimesh]:
+    """One of DeepMind's RGB objects (Lee et al. 2021), from the package dm-robotics-manipulation."""
+    ending = f"/{code}_"
+    for file in metadata.files("dm-robotics-manipulation") or []:
+        if "rgb_v1.3/meshes" in str(file) and ending in str(file) and str(file).endswith(".stl"):
+            mesh = read_mesh(Path(str(file.locate()))).convex_hull
+            mesh.apply_scale(scale)
+            return [mesh]
+    raise RobotError(f"mesh '{code}' is not in the installed package dm-robotics-manipulation: run `make install`")
+
+
+def cylinder(radius: float, height: float, at: tuple[float, float, float] = (0, 0, 0), sides: int = 24) -> trimesh.Trimesh:
+    """Along z, its middle at ``at``."""
+    return trimesh.creation.cylinder(radius, height, sections=sides).apply_translation(at)
+
+
+def cone(low: float, high: float, height: float, sides: int = 20) -> trimesh.Trimesh:
+    """A truncated cone with these two radii, standing on z = 0."""
+    turns = 2 * np.pi * np.arange(sides) / sides
+    rim = np.column_stack([np.cos(turns), np.sin(turns)])
+    rings = [np.column_stack([r * rim, np.full(sides, z)]) for r, z in ((low, 0.0), (high, height))]
+    return trimesh.convex.convex_hull(np.concatenate(rings))
+
+
+def ellipsoid(x: float, y: float, z: float) -> trimesh.Trimesh:
+    """With these half axes."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    return trimesh.convex.convex_hull(ball.vertices * [x, y, z])
+
+
+def ring(inner: float, outer: float, height: float, sides: int) -> list[trimesh.Trimesh]:
+    """A ring or, with few sides, a nut, in as many parts."""
+    turns = 2 * np.pi * np.arange(sides + 1) / sides
+    rim = np.column_stack([np.cos(turns), np.sin(turns)])
+    return [prism(np.concatenate([inner * rim[i : i + 2], outer * rim[i : i + 2]]), height) for i in range(sides)]
