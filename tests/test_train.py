@@ -188,6 +188,20 @@ def test_the_rpn_learns_to_see_and_to_act(tmp_path: Path, cache: Path) -> None:
     assert (tmp_path / "rpn" / "result.json").exists()
 
 
+def test_heatmaps_of_several_models_side_by_side(run: tuple[Path, str], cache: Path, tmp_path: Path) -> None:
+    draw = [sys.executable, str(TRAIN.with_name("heatmaps.py")), "--out", str(tmp_path / "figure")]
+    tiny = [*TINY, "model.width=4", "primitive=grasp", f"paths.cache={cache}"]
+    tasks = ["--tasks", "none", "imagenet", "foreground", "--run", str(run[0]), "--"]
+    done = subprocess.run([*draw, *tasks, *tiny], capture_output=True, text=True, timeout=300, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (tmp_path / "figure" / "heatmaps.png").stat().st_size > 10_000
+    assert "left out: imagenet: task=imagenet has weights for model=rpn_r50_fpn alone" in done.stdout
+    wider = [*tiny, "model.width=8"]
+    done = subprocess.run([*draw, *tasks, *wider], capture_output=True, text=True, timeout=300, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "does not fit model=fcn7" in done.stderr
+
+
 def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> None:
     command = [
         sys.executable,
