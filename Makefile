@@ -18,7 +18,7 @@ train: install  ## make train ARGS="task=normal transfer=full primitive=suction 
 	$(BIN)/python train.py $(ARGS)
 
 test: check
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope $(ARGS)
 
 check: install
 	$(BIN)/ruff format --check .
