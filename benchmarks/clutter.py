@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from see2act import build
 from see2act.config import composed
+from see2act.evaluation import SPLITS
 from see2act.robot.oracle import ExactHeights
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Split
@@ -70,7 +71,7 @@ def main() -> None:
     parser.add_argument("--resets", type=at_least_one, default=500, metavar="N", help="half of them a split (default 500)")
     args = parser.parse_args()
     share = args.resets // 2
-    jobs = [(args.overrides, split, i, min(25, share - i)) for split in ("seen", "unseen") for i in range(0, share, 25)]
+    jobs = [(args.overrides, split, i, min(25, share - i)) for split in SPLITS for i in range(0, share, 25)]
     scenes = [row for part in spread(measure, jobs, args.workers, "clutter") for row in part]
     rows: list[dict[str, Any]] = []
     for name, (least, most) in TARGETS.items():

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from see2act import build
 from see2act.config import composed
+from see2act.evaluation import SPLITS
 from see2act.robot.oracle import ExactHeights, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Pick
@@ -45,15 +46,14 @@ def measure(overrides: list[str], primitive: str, kind: str, first: int, wanted:
     robot = build.robot_factory(cfg, cfg.primitive)()
     scores = oracle(robot, cfg.primitive.angles)
     counted = ("attempts", "true", "held_then_lost", "false_negatives", "false_positives")
-    counted = ("attempts", "true", "held_then_lost", "false_negatives", "false_positives")
     row: dict[str, Any] = {"primitive": primitive, "kind": kind, **dict.fromkeys(counted, 0)}
     for scene in count(first):
         rng = generator(f"benchmarks/sensing/{primitive}/{kind}", scene)
-        robot.reset(seed_for(f"scene/sensing/{primitive}/{kind}", scene), ("seen", "unseen")[scene % 2])
+        robot.reset(seed_for(f"scene/sensing/{primitive}/{kind}", scene), SPLITS[scene % 2])
         for _ in range(PER_SCENE):
             if robot.bin_empty() or row["attempts"] >= wanted:
                 break
-            pick = _pick(robot, scores, kind, rng)
+            pick = _pick(robot, scores, cfg.primitive.angles, kind, rng)
             if kind == "heavy":
                 for body in robot.scene.bodies:
                     robot.simulation.client.changeDynamics(body.id, -1, mass=np.exp(rng.uniform(*np.log(MASS))))
@@ -71,10 +71,9 @@ def measure(overrides: list[str], primitive: str, kind: str, first: int, wanted:
     return row
 
 
-def _pick(robot: SimulatedRobot, scores: Callable[..., np.ndarray], kind: str, rng: np.random.Generator) -> Pick:
+def _pick(robot: SimulatedRobot, scores: Callable[..., np.ndarray], angles: int, kind: str, rng: np.random.Generator) -> Pick:
     heightmap = robot.observe().heightmap
-    logits = scores(heightmap.color, heightmap.height)
-    angles, rows, cols = logits.shape
+    rows, cols = heightmap.height.shape
     if kind in ("random", "tilted"):
         on_objects = robot.truth().body >= 0
         slope = np.arctan(np.hypot(*np.gradient(ExactHeights(robot).height, robot.workspace.pixel)))
@@ -83,6 +82,7 @@ def _pick(robot: SimulatedRobot, scores: Callable[..., np.ndarray], kind: str, r
         row, col = cells[rng.integers(len(cells))] if len(cells) else (rows // 2, cols // 2)
         angle = rng.integers(angles)
     else:
+        logits = scores(heightmap.color, heightmap.height)
         angle, row, col = np.unravel_index(logits.argmax(), logits.shape)
     if kind == "edge":
         turn = rng.uniform(0, 2 * np.pi)

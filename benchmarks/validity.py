@@ -1,7 +1,7 @@
 """How much room the benchmark leaves: scripted policies under the paper's evaluation protocol.
 
-An oracle that knows the scene should pick nearly always, and a random pixel rarely; what an oracle cannot clear, no
-network can. `--scenes develop` takes other scenes than evaluation does: use it while changing the scene, the tools or
+An oracle that knows the scene should pick nearly always, and a random pixel rarely.
+`--scenes develop` takes other scenes than evaluation does: use it while changing the scene, the tools or
 the objects.
 """
 

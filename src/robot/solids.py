@@ -33,6 +33,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def box(x: float, y: float, z: float, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
+    """With these sides, its middle at ``at``."""
     return trimesh.creation.box((x, y, z), trimesh.transformations.translation_matrix(at))
 
 
@@ -43,6 +44,7 @@ def prism(corners: np.ndarray, height: float) -> trimesh.Trimesh:
 
 
 def half_round(radius: float, length: float) -> trimesh.Trimesh:
+    """Half of a cylinder along z, cut lengthwise."""
     angles = np.linspace(0, np.pi, 17)
     return prism(radius * np.column_stack([np.cos(angles), np.sin(angles)]), length)
 
