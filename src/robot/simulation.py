@@ -35,7 +35,8 @@ with _quiet(2):
 TIMESTEP = 1 / 240
 """Seconds of simulated time per step: Bullet's default, which its contact solver is tuned for."""
 GRAVITY = -9.81
-SOLVER_ITERATIONS = 60
+SOLVER_ITERATIONS = 80
+"""With 60 the gripper's linkage, closing on a wall, sinks 2.1 mm into it; with 80 1.7 mm."""
 RAYS_AT_ONCE = 8192
 """In one batch; Bullet drops rays silently near its limit of 16384."""
 
