@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +29,7 @@ class ArmConfig:
 
     Args:
         base: World position of the base, metres. Its x axis points at the bin.
-        home: World position of ``tool0`` before and after each attempt, metres, out of the camera's sight.
+        home: World position of ``tool0`` before and after each attempt, metres.
         joint_speed: Fastest joint in free motion, rad/s (UR5: 3.14 at most).
         tool_speed: Tool on straight lines, m/s.
     """
@@ -40,12 +41,20 @@ class ArmConfig:
 
 
 class Arm:
-    """The arm with an end effector, in a simulation. Positions are those of ``tool0``, which points down."""
+    """The arm with an end effector, in a simulation. Positions are those of ``tool0``, which points down.
 
-    def __init__(self, simulation: Simulation, config: ArmConfig, tool_urdf: str):
+    Args:
+        simulation: The world to be in.
+        config: Where it stands and how fast it goes.
+        tool_urdf: Arm and end effector.
+        jumps: Free motion takes no physics; its time is counted all the same.
+    """
+
+    def __init__(self, simulation: Simulation, config: ArmConfig, tool_urdf: str, jumps: bool):
         self._simulation = simulation
         self._config = config
         self._urdf = tool_urdf
+        self.jumps = jumps
         self.seconds = 0.0
         """Time that all motion so far would take on a real arm at the configured speeds."""
         home = self.solve(np.array(config.home), HOME_ANGLE)
@@ -64,6 +73,7 @@ class Arm:
         self.joint_index = {info[1].decode(): i for i, info in enumerate(infos)}
         self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}
         self._joints = [self.joint_index[name] for name in JOINTS]
+        self._looks = [(shape[1], shape[7]) for shape in client.getVisualShapeData(self.body)]
         self.seconds = 0.0
         self.teleport(self._home)
 
@@ -73,6 +83,16 @@ class Arm:
             self._simulation.client.resetJointState(self.body, index, value)
         self._joint_targets = np.asarray(joints, float)
         self._command(self._joint_targets, np.zeros(6))
+
+    @contextmanager
+    def out_of_sight(self) -> Iterator[None]:
+        """No camera sees the arm during the block."""
+        client = self._simulation.client
+        for link, color in self._looks:
+            client.changeVisualShape(self.body, link, rgbaColor=(*color[:3], 0))
+        yield
+        for link, color in self._looks:
+            client.changeVisualShape(self.body, link, rgbaColor=color)
 
     def solve(self, position: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "6"] | None:
         """Joint angles that put ``tool0`` at a world position, pointing down, turned by ``angle``.
@@ -106,11 +126,23 @@ class Arm:
         start = self._joint_targets
         travel = float(np.abs(joints - start).max())
         steps = _ease(travel / self._config.joint_speed)[:, None]
-        self.follow(start + steps * (joints - start))
+        self.travel(start + steps * (joints - start))
 
     def home(self) -> None:
         """Free motion to the fixed initial position."""
         self.move(self._home)
+
+    def travel(self, waypoints: Float[np.ndarray, "n 6"]) -> None:
+        """Go through joint targets, one a step, where there is nothing to touch and nothing in hand."""
+        if not self.jumps:
+            self.follow(waypoints)
+            return
+        watched = self._simulation.after_step
+        for joints in waypoints if watched else waypoints[-1:]:
+            self.teleport(joints)
+            if watched:
+                watched()
+        self.seconds += len(waypoints) * TIMESTEP
 
     def follow(self, waypoints: Float[np.ndarray, "n 6"], until: Callable[[], bool] | None = None) -> bool:
         """Drive through joint targets, one a step; stop early and hold where ``until`` says so.

@@ -54,7 +54,7 @@ class DepthNoise:
             incidence: Radians between each pixel's ray and the normal of what it sees.
             rng: Decides everything random here.
         """
-        noise: np.ndarray = rng.normal(size=depth.shape).astype(np.float32)
+        noise: np.ndarray = rng.standard_normal(depth.shape, np.float32)
         if self.blur > 0:
             noise = cv2.GaussianBlur(noise, (0, 0), self.blur)
             noise = noise / noise.std()

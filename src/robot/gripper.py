@@ -105,6 +105,7 @@ class Gripper(EndEffector):
 
     def prepare(self) -> None:
         self._drive(0.0)
+        self._wait_until_still()
 
     def engage(self) -> None:
         self._drive(0.8)

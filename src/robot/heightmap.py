@@ -12,8 +12,6 @@ CRACK = 2.0
 """Holes within this many pixels of a reading are cracks between samples and take the nearest value."""
 WALL = 0.002
 """Points nearer than this to the workspace's border, in metres, are of the bin's wall, moved inside by noise."""
-CEILING = 0.2
-"""Points higher than this, in metres, are of the robot at home, which a camera above the bin sees at its edge."""
 FLOOR = 0.01
 """Readings lower than this, in metres, are of the floor."""
 
@@ -29,11 +27,12 @@ def point_cloud(
         pose: Camera to world; x right, y down, z forward in the image.
     """
     h, w = depth.shape
-    u, v = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
-    x = (u - intrinsics[0, 2]) / intrinsics[0, 0] * depth
-    y = (v - intrinsics[1, 2]) / intrinsics[1, 1] * depth
-    points = np.stack([x, y, depth], axis=-1)
-    return points @ pose[:3, :3].T + pose[:3, 3]
+    x = ((np.arange(w) + 0.5 - intrinsics[0, 2]) / intrinsics[0, 0]).astype(np.float32)
+    y = ((np.arange(h) + 0.5 - intrinsics[1, 2]) / intrinsics[1, 1]).astype(np.float32)[:, None]
+    points = np.empty((h, w, 3), np.float32)
+    for axis, (right, down, forward, origin) in enumerate(pose[:3].astype(np.float32)):
+        points[..., axis] = (x * right + (y * down + forward)) * depth + origin
+    return points
 
 
 def highest(
@@ -48,7 +47,7 @@ def highest(
     rows, cols = workspace.to_pixel(flat[:, 0], flat[:, 1])
     _, width = workspace.shape
     inside = (np.abs(flat[:, 0]) < workspace.width / 2 - WALL) & (np.abs(flat[:, 1]) < workspace.length / 2 - WALL)
-    index = np.flatnonzero(seen.ravel() & inside & (flat[:, 2] < CEILING))
+    index = np.flatnonzero(seen.ravel() & inside)
     order = index[np.argsort(flat[index, 2], kind="stable")]
     cell = rows[order] * width + cols[order]
     winner = np.full(workspace.shape[0] * width, -1)

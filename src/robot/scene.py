@@ -120,13 +120,17 @@ class Scene:
         return "scattered" if scattered else None
 
     def settle(self, steps: int | None = None) -> bool:
-        """Step until every object lies still, at most ``steps`` times; whether they do."""
+        """Step until every object lies still, at most ``steps`` times; whether they do.
+
+        What lies still is put to sleep, and costs no time until something touches it.
+        """
         still = 0
         for i in range(self._config.rest_steps if steps is None else steps):
             self._simulation.step()
             if i % 10 == 9:
                 still = still + 1 if self.at_rest() else 0
                 if still == STILL_CHECKS:
+                    self._activate(self._simulation.client.ACTIVATION_STATE_SLEEP)
                     return True
         return False
 
@@ -146,16 +150,22 @@ class Scene:
         return {body.id: np.array(client.getBasePositionAndOrientation(body.id)[0]) for body in self.bodies}
 
     def remove(self, ids: set[int]) -> None:
-        """Take objects out of the world."""
+        """Take objects out of the world; what lay on them wakes up."""
         for i in ids:
             self._simulation.client.removeBody(i)
         self.bodies = [body for body in self.bodies if body.id not in ids]
+        if ids:
+            self._activate(self._simulation.client.ACTIVATION_STATE_WAKE_UP)
 
     def clear_lost(self) -> int:
         """Remove what has left the bin, and count it."""
         out = {body.id for body in self.bodies if not self._inside(body)}
         self.remove(out)
         return len(out)
+
+    def _activate(self, state: int) -> None:
+        for body in self.bodies:
+            self._simulation.client.changeDynamics(body.id, -1, activationState=state)
 
     def _inside(self, body: Body) -> bool:
         position = np.array(self._simulation.client.getBasePositionAndOrientation(body.id)[0])
@@ -181,6 +191,7 @@ class Scene:
             restitution=0.0,
             linearDamping=0.1,
             angularDamping=0.2,
+            activationState=client.ACTIVATION_STATE_ENABLE_SLEEPING,
         )
         if texture := self._objects.textures.get(name):
             client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(self._texture(texture))))

@@ -65,7 +65,7 @@ class Simulation:
             self.client = BulletClient(pybullet.DIRECT)
         self.steps = 0
         self.after_step: Callable[[], None] | None = None
-        """A spectator, called after each step; it must change nothing."""
+        """A spectator, called after each step, and for each that free motion skips; it must change nothing."""
 
     def clear(self) -> None:
         """Remove everything, so that what follows depends on nothing that was."""

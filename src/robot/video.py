@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import av
@@ -30,8 +31,10 @@ def film(simulation: Simulation, path: Path, view: Camera = BYSTANDER) -> Iterat
         stream = file.add_stream("libx264", rate=FRAME_RATE)
         stream.width, stream.height, stream.pix_fmt = view.width, view.height, "yuv420p"
 
+        watched = count()
+
         def record() -> None:
-            if simulation.steps % FRAME_STEPS == 0:
+            if next(watched) % FRAME_STEPS == 0:
                 color, _, _ = view.render(simulation)
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(color, format="rgb24")))
 

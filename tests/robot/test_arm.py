@@ -18,7 +18,7 @@ LIMIT = 2.8
 def arm(config: Callable) -> Iterator[Arm]:
     simulation = Simulation()
     simulation.clear()
-    arm = Arm(simulation, instantiate(config().robot.arm, _convert_="all"), urdf.mount(urdf.ur5(), urdf.robotiq()))
+    arm = Arm(simulation, instantiate(config().robot.arm, _convert_="all"), urdf.mount(urdf.ur5(), urdf.robotiq()), jumps=False)
     arm.load()
     yield arm
     simulation.close()

@@ -118,3 +118,14 @@ def test_the_camera_above_sees_more_of_the_bin(make_robot: Callable[..., Simulat
         robot.reset(4, "seen")
         seen[camera] = robot.truth().heightmap.valid.mean()
     assert seen["top"] > seen["side"] + 0.05
+
+
+def test_the_arm_is_out_of_the_cameras_sight_and_in_a_bystanders(make_robot: Callable[..., SimulatedRobot]) -> None:
+    robot = make_robot("camera=top")
+    robot.reset(3, "seen")
+    seen, shown = robot.observe(), robot.camera.render(robot.simulation)
+    *_, body = robot._look()
+    assert not (body == robot.arm.body).any()
+    assert (shown[2] == robot.arm.body).any()
+    elsewhere = shown[2] != robot.arm.body
+    assert np.array_equal(seen.color[elsewhere], shown[0][elsewhere])

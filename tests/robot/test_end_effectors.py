@@ -137,13 +137,23 @@ def test_the_seal_holds_a_limited_moment(suction: SimulatedRobot) -> None:
     assert [outcome.truth for outcome in outcomes] == [True, False]
 
 
-def test_the_arm_ends_at_home_and_counts_its_time(suction: SimulatedRobot) -> None:
-    _place(suction, "cube", (0.0, 0.0, 0.03))
-    home = suction.arm.tool_position()
-    outcome = _pick(suction, 0.0, 0.0)
-    assert np.linalg.norm(suction.arm.tool_position() - home) < 1e-3
-    assert 1.0 < outcome.robot_seconds < 6.0
-    assert outcome.steps >= outcome.robot_seconds * 240 - 1
+@pytest.mark.parametrize("primitive", ["suction", "grasp"])
+@pytest.mark.parametrize("x", [0.0, 0.08])  # on the cube; beside it
+def test_fast_motion_ends_as_full_motion_does_and_counts_the_same_time(
+    make_robot: Callable[..., SimulatedRobot], primitive: str, x: float
+) -> None:
+    outcomes = {}
+    for motion in ("fast", "full"):
+        robot = make_robot(f"primitive={primitive}", f"robot.motion={motion}")
+        _place(robot, "cube", (0.0, 0.0, 0.03))
+        home = robot.arm.tool_position()
+        outcomes[motion] = _pick(robot, x, 0.0)
+        assert np.linalg.norm(robot.arm.tool_position() - home) < 1e-3
+    fast, full = outcomes["fast"], outcomes["full"]
+    assert (fast.success, fast.truth, fast.cause) == (full.success, full.truth, full.cause)
+    assert fast.robot_seconds == pytest.approx(full.robot_seconds, rel=0.1)
+    assert full.steps >= full.robot_seconds * 240 - 1
+    assert fast.steps < 0.7 * full.steps
 
 
 @pytest.mark.parametrize("gap", [0.0025, 0.006])

@@ -48,6 +48,42 @@ def test_a_smaller_count_drops_fewer(robot: SimulatedRobot) -> None:
     assert robot.objects_left == 2
 
 
+@pytest.fixture
+def pile(robot: SimulatedRobot) -> list[int]:
+    """Two cubes, one on the other, asleep; their body ids, the lower one first."""
+    robot._build()
+    for z in (0.025, 0.075):
+        robot.scene._add("cube", 1.0, (0.0, 0.0, z), np.array([0.0, 0.0, 0.0, 1.0]), (1.0, 0.2, 0.2))
+    assert robot.scene.settle(480)
+    return [body.id for body in robot.scene.bodies]
+
+
+def test_what_sleeps_stays_where_it_is(robot: SimulatedRobot, pile: list[int]) -> None:
+    for _ in range(5):  # it takes a step or two to fall asleep
+        robot.simulation.step()
+    before = robot.scene.positions()
+    for _ in range(100):
+        robot.simulation.step()
+    assert all(np.array_equal(position, before[body]) for body, position in robot.scene.positions().items())
+
+
+def test_what_loses_its_support_wakes_up_and_falls(robot: SimulatedRobot, pile: list[int]) -> None:
+    lower, upper = pile
+    height = robot.scene.positions()[upper][2]
+    robot.scene.remove({lower})
+    assert robot.scene.settle(480)
+    assert height - robot.scene.positions()[upper][2] > 0.03
+
+
+def test_what_is_hit_wakes_up(robot: SimulatedRobot, pile: list[int]) -> None:
+    before = robot.scene.positions()
+    robot.scene._add("cube", 1.0, (0.02, 0.0, 0.25), np.array([0.0, 0.0, 0.0, 1.0]), (1.0, 0.2, 0.2))
+    for _ in range(240):
+        robot.simulation.step()
+    moved = [np.linalg.norm(robot.scene.positions()[body] - before[body]) for body in pile]
+    assert max(moved) > 1e-3
+
+
 def test_a_scene_follows_from_its_seed_alone(robot: SimulatedRobot) -> None:
     robot.reset(7, "seen")
     before = robot.observe()

@@ -77,7 +77,7 @@ def test_the_depth_sensor_looks_through_glass(robot: SimulatedRobot) -> None:
 
 def test_a_ray_meets_the_floor_where_the_camera_says(robot: SimulatedRobot) -> None:
     points = hm.point_cloud(robot.camera.floor_depth(), robot.camera.intrinsics, robot.camera.pose)
-    assert np.abs(points[400:, :, 2]).max() < 1e-9
+    assert np.abs(points[400:, :, 2]).max() < 1e-6  # single precision
 
 
 def test_the_wide_gripper_opens_as_far_as_an_rg2_and_picks(make_robot: Callable[..., SimulatedRobot]) -> None:
