@@ -152,6 +152,8 @@ class Config:
     logger: dict[str, Any] = field(default_factory=dict)
     labels: str = "truth"
     seed: int = 0
+    precision: str = MISSING
+    """``bf16`` or ``fp32``; see :func:`native_precision`."""
     threads: int = 2
     """Of torch; sums, and so results, may depend on it in the last digits."""
     force: bool = False
@@ -167,6 +169,16 @@ def register() -> None:
     """Make the schema and the hash known to Hydra; safe to call twice."""
     ConfigStore.instance().store("schema", Config)
     OmegaConf.register_new_resolver("config_hash", lambda _root_: config_hash(_root_), replace=True)
+    OmegaConf.register_new_resolver("native_precision", native_precision, replace=True)
+
+
+def native_precision() -> str:
+    """``bf16`` where the processor computes in bfloat16, which is several times faster there, or else ``fp32``."""
+    try:
+        flags = Path("/proc/cpuinfo").read_text().split()
+    except OSError:
+        return "fp32"
+    return "bf16" if {"avx512_bf16", "amx_bf16"} & {*flags} else "fp32"
 
 
 def composed(overrides: Sequence[str] = ()) -> DictConfig:
@@ -255,6 +267,7 @@ def validate(cfg: DictConfig) -> None:
     if reason := illegal_cell(cfg):
         raise ConfigError(reason)
     _choice("labels", cfg.labels, ("truth", "vision"))
+    _choice("precision", cfg.precision, ("bf16", "fp32"))
     _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
     _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
     _at_least("finetune.attempts", cfg.finetune.attempts, 0)

@@ -113,7 +113,7 @@ class Run:
         if cfg.task.label is None:
             return None
         keys = {"collection": self._collection_key(), **_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
-        keys["trainer"] = relevant_trainer(cfg)
+        keys |= {"trainer": relevant_trainer(cfg), "precision": cfg.precision}
         keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py", "pipeline.py", "seeding.py")
         path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
         made = once(path, lambda: self._train_vision(collection, path))
@@ -306,6 +306,7 @@ class Run:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             network: PixelNetwork = instantiate(self.cfg.model.network)
+        network.speed_up(self.cfg.precision)
         return network
 
     def _unlabelled(self, module: AffordanceModule, collection: Collection) -> Iterator[Tensor]:

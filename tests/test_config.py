@@ -161,3 +161,15 @@ def test_force_keeps_the_earlier_run(tmp_path: Path) -> None:
 def test_help_does_not_wait_for_torch() -> None:
     code = "import sys, see2act.main; sys.exit('torch' in sys.modules or 'lightning' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0
+
+
+def test_the_precision_is_the_processors_own_and_part_of_the_hash(config: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    hashes = set()
+    for flags, expected in (("fpu avx512f avx512_bf16", "bf16"), ("fpu avx2", "fp32")):
+        monkeypatch.setattr(Path, "read_text", lambda _, flags=flags: f"flags : {flags}")
+        cfg = config()
+        assert cfg.precision == expected
+        hashes.add(config_hash(cfg))
+    assert len(hashes) == 2
+    with pytest.raises(ConfigError, match="precision=fp16"):
+        validate(config("precision=fp16"))

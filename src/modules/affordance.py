@@ -73,12 +73,11 @@ class AffordanceModule(L.LightningModule):
         x = self.network.prepare(batch["color"], batch["height"])
         angle, row, col = batch["angle"], batch["row"], batch["col"]
         if self._frozen:
-            x, row, col = self.rotations.window(x, angle, row, col, self.network.reach)
-        else:
-            x = self.rotations.turned(x, angle)
-            row, col = self.rotations.locate(angle, row, col)
-        logits: Tensor = self.network(x)[torch.arange(len(row)), 0, row, col]
-        return logits
+            return self.network.logits_at(*self.rotations.window(x, angle, row, col, self.network.reach))
+        logits = self.network(self.rotations.turned(x, angle))
+        row, col = self.rotations.locate(angle, row, col)
+        executed: Tensor = logits[torch.arange(len(row)), 0, row, col]
+        return executed
 
     def train(self, mode: bool = True) -> AffordanceModule:
         super().train(mode)

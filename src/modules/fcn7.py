@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from jaxtyping import Float
-from see2act.modules.network import PixelNetwork
+import torch
+from jaxtyping import Float, Int
+from see2act.modules.network import Logits, PixelNetwork
 from torch import Tensor, nn
 
 
@@ -51,15 +52,58 @@ class FCN7(PixelNetwork):
             nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False),
             Residual(2 * width, width),
             nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False),
-            nn.Conv2d(width, 1, 1),
+            Logits(width, 1, 1),
         )
         super().__init__(backbone, head, stride=4, reach=48)
+        self._layers = (*backbone, *head)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         # Start near "I do not know": every pixel of a new head has a probability of about a half.
         last = head[-1]
-        assert isinstance(last, nn.Conv2d)
+        assert isinstance(last, Logits)
         assert last.bias is not None
         nn.init.normal_(last.weight, std=0.01)
         nn.init.zeros_(last.bias)
+
+    def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
+        """The logit of one pixel of each input, with fixed statistics: every block sees no more than it depends on.
+
+        A window that ends at an edge of the input ends there for every layer, so that the padding is the same.
+        """
+        x = x.contiguous(memory_format=self._layout)
+        stride = 1
+        with self.autocast():
+            for layer, reach in self._reaches():
+                if isinstance(layer, Residual):
+                    x, row, col = _crop(x, row, col, stride, reach)
+                x = layer(x)
+                stride = {nn.MaxPool2d: stride * 2, nn.Upsample: stride // 2}.get(type(layer), stride)
+        return x[torch.arange(len(x)), 0, row, col].float()
+
+    def _reaches(self) -> list[tuple[nn.Module, int]]:
+        """Every layer with how many of its inputs, to each side, a logit depends on."""
+        reaches, reach = [], 0
+        for layer in reversed(self._layers):
+            match layer:
+                case Residual():
+                    reach += 2
+                case nn.Conv2d(kernel_size=(3, 3)):
+                    reach += 1
+                case nn.MaxPool2d():
+                    reach = 2 * reach + 1
+                case nn.Upsample():
+                    reach = (reach + 1) // 2 + 1
+            reaches.append((layer, reach))
+        return reaches[::-1]
+
+
+def _crop(x: Tensor, row: Tensor, col: Tensor, stride: int, reach: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Features (B, C, h, w) within ``reach`` of the pixels, which are counted at full resolution, and the pixels in them."""
+    size = [min(2 * reach + 1, n) for n in x.shape[2:]]
+    top, left = ((at // stride - reach).clamp(0, n - k) for at, n, k in zip((row, col), x.shape[2:], size, strict=True))
+    parts = [
+        x[i, :, t : t + size[0], k : k + size[1]] for i, (t, k) in enumerate(zip(top.tolist(), left.tolist(), strict=True))
+    ]
+    layout = torch.channels_last if x.is_contiguous(memory_format=torch.channels_last) else torch.contiguous_format
+    return torch.stack(parts).contiguous(memory_format=layout), row - top * stride, col - left * stride

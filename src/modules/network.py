@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
 
@@ -39,7 +39,7 @@ class PixelNetwork(nn.Module):
 
     Args:
         backbone: Feature extractor.
-        head: Prediction layers.
+        head: Prediction layers; the last one is a :class:`Logits`.
         stride: Input sides must be multiples of this.
         reach: Pixels around a logit that can influence it, on each side.
     """
@@ -51,6 +51,18 @@ class PixelNetwork(nn.Module):
         self.head = head
         self.stride = stride
         self.reach = reach
+        self._precision = "fp32"
+        self._layout = torch.contiguous_format
+
+    def speed_up(self, precision: str) -> None:
+        """Lay weights and inputs out as convolutions on a CPU like them best, and choose what they compute in.
+
+        Args:
+            precision: ``fp32``, or ``bf16`` for bfloat16 in all but the logits; parameters stay in single precision.
+        """
+        self._precision = precision
+        self._layout = torch.channels_last
+        self.to(memory_format=self._layout)
 
     def prepare(self, color: UInt8[Tensor, "B H W 3"], height: Float[Tensor, "B H W"]) -> Float[Tensor, "B 4 H W"]:
         """Normalised network input; zero is the average pixel, which is also what padding looks like."""
@@ -58,7 +70,25 @@ class PixelNetwork(nn.Module):
         x: Tensor = self.normalization(torch.cat([rgb, height[:, None]], dim=1))
         return x
 
+    def autocast(self) -> torch.autocast:
+        """Computes in the precision that was chosen."""
+        return torch.autocast(self.normalization.mean.device.type, torch.bfloat16, enabled=self._precision == "bf16")
+
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 1 H W"]:
         """Logits of prepared input."""
-        logits: Tensor = self.head(self.backbone(x))
+        with self.autocast():
+            logits: Tensor = self.head(self.backbone(x.contiguous(memory_format=self._layout)))
+        return logits.float()
+
+    def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
+        """The logit of one pixel of each input."""
+        logits: Tensor = self(x)[torch.arange(len(x)), 0, row, col]
         return logits
+
+
+class Logits(nn.Conv2d):
+    """The last convolution, always in single precision: in bfloat16 large logits are equal, and ties go to the upper left."""
+
+    def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B K H W"]:
+        with torch.autocast(x.device.type, enabled=False):
+            return super().forward(x.float())

@@ -6,7 +6,7 @@ import torch.nn.functional as F
 import torchvision
 from jaxtyping import Float
 from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import PixelNetwork
+from see2act.modules.network import Logits, PixelNetwork
 from torch import Tensor, nn
 from torchvision.models.detection.backbone_utils import BackboneWithFPN
 from torchvision.models.detection.rpn import RPNHead
@@ -67,6 +67,9 @@ class ObjectnessHead(RPNHead):
 
     def __init__(self, anchors: int):
         super().__init__(FPN_CHANNELS, anchors)
+        logits = Logits(FPN_CHANNELS, anchors, 1)
+        logits.load_state_dict(self.cls_logits.state_dict())
+        self.cls_logits: nn.Module = logits
 
     def forward(self, x: Float[Tensor, "B 256 h w"]) -> Float[Tensor, "B 1 H W"]:
         objectness = self.cls_logits(self.conv(x)).amax(1, keepdim=True)

@@ -83,8 +83,8 @@ class SimulatedRobot(Robot):
         arm: The arm's place and speeds.
         bin: The bin's walls and the waiting times.
         clearance: World z in metres of the tool's tip at which free motion ends and the descent begins.
-        motion: ``full`` steps through every motion. ``fast`` jumps where nothing can be touched: between home and the point above
-            a pick, and up again with empty hands. ``robot_seconds`` counts it all the same.
+        motion: ``full`` steps through every motion. ``fast`` jumps where nothing can be touched: between home and the point
+            above a pick, and up again with empty hands. ``robot_seconds`` counts it all the same.
         video: Whether :meth:`film` records; a frame costs 0.1 s.
     """
 

@@ -95,3 +95,25 @@ def test_frozen_batchnorm_stays(network: FCN7) -> None:
     network(torch.randn(4, 4, 32, 32))
     assert all(torch.equal(m.running_mean, before[n]) for n, m in batchnorms(network).items())
     assert network.training
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_the_fast_way_gives_the_same_logits(network: FCN7, precision: str) -> None:
+    torch.nn.init.normal_(network.head[-1].weight)
+    x = torch.randn(2, 4, 64, 64)
+    with torch.no_grad():
+        plain = network.eval()(x)
+        network.speed_up(precision)
+        fast = network(x)
+    assert fast.dtype == torch.float32
+    tolerance = {"fp32": 1e-5, "bf16": 0.02}[precision]
+    assert (fast - plain).std() < tolerance * plain.std()
+
+
+def test_large_logits_stay_apart_in_bfloat16(network: FCN7) -> None:
+    """bfloat16 knows no number between 64 and 64.5: of equal logits the policy would take the one in the corner."""
+    network.speed_up("bf16")
+    torch.nn.init.constant_(network.head[-1].bias, 64.0)
+    with torch.no_grad():
+        logits = network.eval()(torch.randn(1, 4, 64, 64))
+    assert len(logits.unique()) > 0.9 * logits.numel()
