@@ -15,8 +15,10 @@ from see2act.robot.robot import SimulatedRobot
 from see2act.robot.suction import SuctionCup
 from see2act.robot.types import RobotError
 
-HOPELESS = -50.0
+HOPELESS = -1000.0
 """Logit of a pick that the oracle rules out."""
+UNCHECKED = -200.0
+"""Of picks on an object that were not looked at closely."""
 Scores = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
 
 
@@ -117,6 +119,7 @@ class _GraspOracle:
             across = np.abs(np.cross(jaw, points - centre)[:, 2])
             along = np.abs(((points - centre) * jaw).sum(1))
             coarse = -100 * across - 40 * along - 2 * burdens[body]
+            logits[angle, rows, cols] = UNCHECKED + coarse  # for when all that is checked has failed
             best = np.argsort(coarse, kind="stable")[-self.COARSE :]
             overlap = self._overlap(top, points[best], jaw[best])
             roomy = np.argsort(coarse[best] - 1000 * overlap, kind="stable")[-self.FINE :]

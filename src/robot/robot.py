@@ -183,8 +183,9 @@ class SimulatedRobot(Robot):
             tool.engage()
             engaged = tool.engaged()
             self._note_contact(contact)
-        self._lift(pick, engaged)
-        reading, success = (0.0, False) if stopped else tool.sense()
+        with self.simulation.careful():
+            self._lift(pick, engaged)
+            reading, success = (0.0, False) if stopped else tool.sense()
         held = self._held(before)
         cause: Cause = "missed"
         if success or stopped:
