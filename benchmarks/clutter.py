@@ -41,7 +41,7 @@ def measure(overrides: list[str], split: Split, first: int, resets: int) -> list
 
 
 def describe(robot: SimulatedRobot) -> dict[str, Any]:
-    """The scene as it lies, and how far its objects move in the quarter of a second that follows."""
+    """The scene as it lies, and how its objects move in a quarter of a second if all are awake."""
     client, bodies = robot.simulation.client, [body.id for body in robot.scene.bodies]
     solid = [*bodies, robot.scene.floor, *robot.scene.walls]
     overlap = 0.0
@@ -50,10 +50,12 @@ def describe(robot: SimulatedRobot) -> dict[str, Any]:
         overlap = max([overlap, *(-gap for gap in gaps)])
     at = np.array(list(robot.scene.positions().values()))
     half = np.array([robot.workspace.width, robot.workspace.length]) / 2
-    speed = max(float(np.linalg.norm(client.getBaseVelocity(body)[0])) for body in bodies)
     coverage = float(np.isin(ExactHeights(robot).body, bodies).mean())
+    robot.scene.wake()
+    speed = 0.0
     for _ in range(60):
         robot.simulation.step()
+        speed = max([speed, *(float(np.linalg.norm(client.getBaseVelocity(body)[0])) for body in bodies)])
     drift = float(np.linalg.norm(np.array(list(robot.scene.positions().values())) - at, axis=1).max())
     return {
         "coverage": coverage,

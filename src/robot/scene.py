@@ -124,13 +124,14 @@ class Scene:
 
         What lies still is put to sleep, and costs no time until something touches it.
         """
+        self.wake()
         still = 0
         for i in range(self._config.rest_steps if steps is None else steps):
             self._simulation.step()
             if i % 10 == 9:
                 still = still + 1 if self.at_rest() else 0
                 if still == STILL_CHECKS:
-                    self._activate(self._simulation.client.ACTIVATION_STATE_SLEEP)
+                    self._sleep()
                     return True
         return False
 
@@ -150,12 +151,22 @@ class Scene:
         return {body.id: np.array(client.getBasePositionAndOrientation(body.id)[0]) for body in self.bodies}
 
     def remove(self, ids: set[int]) -> None:
-        """Take objects out of the world; what lay on them wakes up."""
+        """Take objects out of the world; what lay on them sleeps on until the next :meth:`settle`."""
         for i in ids:
             self._simulation.client.removeBody(i)
         self.bodies = [body for body in self.bodies if body.id not in ids]
-        if ids:
-            self._activate(self._simulation.client.ACTIVATION_STATE_WAKE_UP)
+
+    def wake(self) -> None:
+        """Let every object move, as if something had touched it."""
+        client = self._simulation.client
+        # Left to itself Bullet puts to sleep what has been slow for two seconds, in the middle of tipping over too.
+        self._activate(client.ACTIVATION_STATE_DISABLE_SLEEPING)
+        self._activate(client.ACTIVATION_STATE_WAKE_UP)
+
+    def _sleep(self) -> None:
+        client = self._simulation.client
+        self._activate(client.ACTIVATION_STATE_ENABLE_SLEEPING)
+        self._activate(client.ACTIVATION_STATE_SLEEP)
 
     def clear_lost(self) -> int:
         """Remove what has left the bin, and count it."""
@@ -191,7 +202,6 @@ class Scene:
             restitution=0.0,
             linearDamping=0.1,
             angularDamping=0.2,
-            activationState=client.ACTIVATION_STATE_ENABLE_SLEEPING,
         )
         if texture := self._objects.textures.get(name):
             client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(self._texture(texture))))

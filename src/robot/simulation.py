@@ -38,7 +38,7 @@ GRAVITY = -9.81
 SOLVER_ITERATIONS = 80
 """With 60 the gripper's linkage, closing on a wall, sinks 2.1 mm into it; with 80 1.7 mm."""
 CAREFUL_ITERATIONS = 240
-"""While something is held: with 80 it creeps between the pads, 1 mm in half a second and sometimes out of them; with 240 it stays."""
+"""While something is held: with 80 it creeps between the pads, 1 mm in half a second and sometimes out; with 240 it stays."""
 RAYS_AT_ONCE = 8192
 """In one batch; Bullet drops rays silently near its limit of 16384."""
 
