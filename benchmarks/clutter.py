@@ -53,8 +53,10 @@ def describe(robot: SimulatedRobot) -> dict[str, Any]:
     coverage = float(np.isin(ExactHeights(robot).body, bodies).mean())
     robot.scene.wake()
     speed = 0.0
-    for _ in range(60):
+    for step in range(60):
         robot.simulation.step()
+        if step < 20:  # contacts are found anew, which shakes what lies on them by micrometres
+            continue
         speed = max([speed, *(float(np.linalg.norm(client.getBaseVelocity(body)[0])) for body in bodies)])
     drift = float(np.linalg.norm(np.array(list(robot.scene.positions().values())) - at, axis=1).max())
     return {
