@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-COLUMNS = ("color", "height", "angle", "row", "col", "label", "priority")
+COLUMNS = ("color", "height", "angle", "row", "col", "label")
+BLOCK = 1024
+"""Priorities summed together, so that a draw looks at one sum a block and then into one block."""
 
 
 class Replay:
@@ -24,9 +26,10 @@ class Replay:
     """
 
     def __init__(self, alpha: float, beta: float, floor: float, rng: np.random.Generator):
-        self._alpha, self._beta, self._floor = alpha, beta, floor
+        self._beta, self._floor = beta, floor
         self._rng = rng
         self._items: dict[str, list] = {name: [] for name in COLUMNS}
+        self._priorities = _Priorities(alpha)
         self._drawn = np.array([], dtype=int)
 
     def __len__(self) -> int:
@@ -36,20 +39,17 @@ class Replay:
         self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"], angle: int, row: int, col: int, success: bool
     ) -> None:
         """Remember an attempt."""
-        priority = max(self._items["priority"], default=1.0)
-        values = (color, height, angle, row, col, float(success), priority)
-        for name, value in zip(COLUMNS, values, strict=True):
+        for name, value in zip(COLUMNS, (color, height, angle, row, col, float(success)), strict=True):
             self._items[name].append(value)
+        self._priorities.append(self._priorities.largest())
 
     def sample(self, size: int) -> dict[str, Tensor]:
         """A batch, the newest attempt always in it: color (B, H, W, 3) uint8, height (B, H, W) float32, angle, row,
         col int64, label and weight float32."""
-        scaled = np.array(self._items["priority"]) ** self._alpha
-        probability = scaled / scaled.sum()
-        drawn = self._rng.choice(len(self), size, p=probability)
+        drawn = self._priorities.draw(size, self._rng)
         drawn[0] = len(self) - 1
         self._drawn = drawn
-        weight = (len(self) * probability[drawn]) ** -self._beta
+        weight = (len(self) * self._priorities.probability(drawn)) ** -self._beta
         columns = {name: [self._items[name][i] for i in drawn] for name in COLUMNS}
         return {
             "color": torch.from_numpy(np.stack(columns["color"])),
@@ -61,7 +61,7 @@ class Replay:
     def update(self, surprise: Float[np.ndarray, " B"]) -> None:
         """New |prediction - label| for the batch drawn last."""
         for i, value in zip(self._drawn, surprise, strict=True):
-            self._items["priority"][i] = float(value) + self._floor
+            self._priorities[i] = float(value) + self._floor
 
     def state_dict(self) -> dict:
         """Tensors and plain containers only, so that a checkpoint loads with ``weights_only``."""
@@ -69,6 +69,7 @@ class Replay:
         if len(self):
             for name in ("color", "height"):
                 state[name] = torch.from_numpy(np.stack(self._items[name]))
+        state["priority"] = torch.from_numpy(self._priorities.values())
         state["rng"] = self._rng.bit_generator.state
         return state
 
@@ -77,4 +78,58 @@ class Replay:
         self._items = {name: list(state[name]) for name in COLUMNS}
         for name in ("color", "height"):
             self._items[name] = [value.numpy() for value in state[name]]
+        self._priorities = _Priorities(self._priorities.alpha)
+        for value in state["priority"].tolist():
+            self._priorities.append(value)
         self._rng.bit_generator.state = state["rng"]
+
+
+class _Priorities:
+    """Priorities p_i that are drawn from with P(i) = p_i^alpha / sum p^alpha, at a cost that hardly grows with their number."""
+
+    def __init__(self, alpha: float):
+        self.alpha = alpha
+        self._count = 0
+        self._priority = np.zeros(BLOCK)
+        self._scaled = np.zeros(BLOCK)
+        self._sums = np.zeros(1)
+
+    def values(self) -> Float[np.ndarray, " n"]:
+        """All of them."""
+        return self._priority[: self._count].copy()
+
+    def largest(self) -> float:
+        """The largest one; 1 where there is none."""
+        return float(self._priority[: self._count].max()) if self._count else 1.0
+
+    def append(self, value: float) -> None:
+        """One more."""
+        if self._count == len(self._priority):
+            self._priority, self._scaled, self._sums = (
+                np.concatenate([array, np.zeros_like(array)]) for array in (self._priority, self._scaled, self._sums)
+            )
+        self._count += 1
+        self[self._count - 1] = value
+
+    def __setitem__(self, i: int, value: float) -> None:
+        self._priority[i] = value
+        self._scaled[i] = value**self.alpha
+        block = i // BLOCK
+        self._sums[block] = self._scaled[block * BLOCK : (block + 1) * BLOCK].sum()
+
+    def probability(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Of drawing each."""
+        return self._scaled[index] / self._sums.sum()
+
+    def draw(self, size: int, rng: np.random.Generator) -> Int[np.ndarray, " size"]:
+        """Indices, with replacement."""
+        upto = np.cumsum(self._sums)
+        target = rng.random(size) * upto[-1]
+        blocks = np.searchsorted(upto, target, side="right").clip(0, (self._count - 1) // BLOCK)
+        drawn = np.empty(size, int)
+        for k, block in enumerate(blocks):
+            start = block * BLOCK
+            within = np.cumsum(self._scaled[start : min(start + BLOCK, self._count)])
+            left = target[k] - (upto[block] - self._sums[block])
+            drawn[k] = start + min(int(np.searchsorted(within, left, side="right")), len(within) - 1)
+        return drawn

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 import torch
-from see2act.datamodules.replay import Replay
+from see2act.datamodules.replay import BLOCK, Replay, _Priorities
 
 
 def _filled(n: int, alpha: float = 0.6, beta: float = 0.4) -> Replay:
@@ -40,6 +40,21 @@ def test_sampling_follows_priorities() -> None:
     assert np.bincount(drawn, minlength=3) / len(drawn) == pytest.approx([0.8, 0.1, 0.1], abs=0.03)
 
 
+def test_draws_across_blocks_follow_priorities() -> None:
+    n = 2 * BLOCK + 500
+    priorities = _Priorities(0.5)
+    for i in range(n):
+        priorities.append(float(i % 7) + 0.01)
+    drawn = priorities.draw(200_000, np.random.default_rng(1))
+    expected = np.sqrt(np.arange(n) % 7 + 0.01)
+    assert priorities.probability(np.arange(n)) == pytest.approx(expected / expected.sum())
+    for start in (0, BLOCK, 2 * BLOCK):
+        part = slice(start, start + BLOCK)
+        share = np.bincount(drawn, minlength=n)[part].sum() / len(drawn)
+        assert share == pytest.approx(expected[part].sum() / expected.sum(), abs=0.01)
+    assert np.bincount(drawn % 7, minlength=7)[0] < 0.02 * len(drawn)
+
+
 def test_importance_weights_undo_the_bias() -> None:
     replay = _filled(2, alpha=1.0, beta=1.0)
     replay._drawn = np.array([0, 1])
@@ -54,7 +69,7 @@ def test_a_new_attempt_gets_the_largest_priority() -> None:
     replay._drawn = np.array([1])
     replay.update(np.array([5.0]))
     replay.add(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0, 0, 0, True)
-    assert replay._items["priority"][-1] == pytest.approx(5.01)
+    assert replay._priorities.values()[-1] == pytest.approx(5.01)
 
 
 def test_save_and_load_continue_the_same_draws() -> None:
