@@ -14,7 +14,6 @@ from typing import Any
 import hydra
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.utils import JobReturn
 from hydra.errors import HydraException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
@@ -40,6 +39,9 @@ FLAGS = (
 )
 """With these Hydra does something other than one run and does its own checking."""
 
+SKIPPED = "skipped.txt"
+"""In the folder of a sweep's job that made no sense."""
+
 
 def main() -> None:
     """Run ``train.py`` with the process's arguments."""
@@ -55,18 +57,16 @@ def main() -> None:
 class SkippedCells(Callback):
     """Lists at the end of a sweep the combinations that were skipped because they make no sense."""
 
-    def __init__(self) -> None:
-        self._reasons: list[str] = []
-
-    def on_job_end(self, config: DictConfig, job_return: JobReturn, **_: Any) -> None:
-        """Hydra calls this after every job."""
-        if job_return.cfg is not None and (reason := illegal_cell(job_return.cfg)):
-            self._reasons.append(f"{job_return.cfg.primitive.name}: {reason}")
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        """Hydra calls this before the first job."""
+        self._start = time.time()
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        """Hydra calls this after the last job."""
-        if self._reasons:
-            log.info("%d combinations were skipped:\n  %s", len(self._reasons), "\n  ".join(self._reasons))
+        """Hydra calls this after the last job. Jobs run in processes of their own, so they leave a note each."""
+        notes = sorted(Path(config.hydra.sweep.dir).rglob(SKIPPED))
+        reasons = [note.read_text() for note in notes if note.stat().st_mtime >= self._start]
+        if reasons:
+            log.info("%d combinations were skipped:\n  %s", len(reasons), "\n  ".join(reasons))
 
 
 def _check(overrides: list[str]) -> None:
@@ -136,8 +136,9 @@ def _hydra_main(cfg: DictConfig) -> float | None:
     """One job: a run, or in a sweep the notice that a cell makes no sense."""
     sweep = HydraConfig.get().mode == RunMode.MULTIRUN
     folder = Path(HydraConfig.get().runtime.output_dir)
-    if sweep and illegal_cell(cfg):
-        return None  # SkippedCells lists it
+    if sweep and (reason := illegal_cell(cfg)):
+        (folder / SKIPPED).write_text(f"{cfg.primitive.name}: {reason}")
+        return None
     try:
         validate(cfg)
         _check_parts(cfg)

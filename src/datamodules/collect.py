@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from joblib import Parallel, delayed
 from see2act.datamodules.labels import View
 from see2act.files import replacing
 from see2act.robot.robot import SimulatedRobot
@@ -18,6 +16,8 @@ from see2act.seeding import generator, seed_for
 from tqdm import tqdm
 
 RobotFactory = Callable[[], SimulatedRobot]
+TASK = 3
+"""Scenes that a worker makes in a row with one robot."""
 ARRAYS = ("color", "height", "valid", "clean_color", "clean_height", "clean_valid", "body")
 
 
@@ -72,28 +72,27 @@ def collect(
         seed: Of scenes and picks.
         workers: Processes.
     """
-    scenes = math.ceil(interactions / per_scene)
-    jobs = [
-        (make_robot, seed, scene, min(per_scene, interactions - scene * per_scene), most_objects) for scene in range(scenes)
-    ]
-    parts = []
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    with pool, tqdm(total=interactions, desc="collect", disable=None) as bar:
-        for part in pool.map(_scene, *zip(*jobs, strict=True)):
-            parts.append(part)
-            bar.update(len(part))
+    counts = [min(per_scene, interactions - done) for done in range(0, interactions, per_scene)]
+    scenes = list(enumerate(counts))
+    tasks = [delayed(_scenes)(make_robot, seed, scenes[i : i + TASK], most_objects) for i in range(0, len(scenes), TASK)]
+    parts: list[Collection] = []
+    with tqdm(total=interactions, desc="collect", disable=None) as bar:
+        for done in Parallel(workers, backend="loky", return_as="generator")(tasks):
+            parts += done
+            bar.update(sum(len(part) for part in done))
     arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in ARRAYS}
     return Collection(arrays, parts[0].background)
 
 
-_robots: dict[int, SimulatedRobot] = {}
-"""The one robot of a worker process, which dies with it."""
+def _scenes(make_robot: RobotFactory, seed: int, scenes: list[tuple[int, int]], most_objects: int) -> list[Collection]:
+    robot = make_robot()
+    try:
+        return [_scene(robot, seed, scene, interactions, most_objects) for scene, interactions in scenes]
+    finally:
+        robot.close()
 
 
-def _scene(make_robot: RobotFactory, seed: int, scene: int, interactions: int, most_objects: int) -> Collection:
-    if not _robots:
-        _robots[0] = make_robot()
-    robot = _robots[0]
+def _scene(robot: SimulatedRobot, seed: int, scene: int, interactions: int, most_objects: int) -> Collection:
     rng = generator("collect", seed, scene)
     background = robot.background()
     count = int(rng.integers(1, most_objects + 1))
