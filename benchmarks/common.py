@@ -18,11 +18,12 @@ from tqdm import tqdm
 PRIMITIVES = ("suction", "grasp")
 
 
-def arguments(description: str | None) -> argparse.ArgumentParser:
+def arguments(description: str | None, workers: bool = True) -> argparse.ArgumentParser:
     """A parser with the options that all measurements have."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows here")
-    parser.add_argument("--workers", type=at_least_one, default=2, metavar="N", help="processes (default 2)")
+    if workers:
+        parser.add_argument("--workers", type=at_least_one, default=2, metavar="N", help="processes (default 2)")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration, as for train.py")
     return parser
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
-from filelock import FileLock
+from filelock import FileLock, Timeout
 
+log = logging.getLogger("see2act")
 SOURCES = Path(__file__).parent
 
 
@@ -33,10 +35,18 @@ def once(path: Path, make: Callable[[], None]) -> bool:
         Whether it was made now.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(f"{path}.lock"):
+    lock = FileLock(f"{path}.lock")
+    try:
+        lock.acquire(timeout=1)
+    except Timeout:
+        log.info("waiting for another process, which is making %s", path)
+        lock.acquire()
+    try:
         if path.exists():
             return False
         make()
         if not path.exists():
             raise RuntimeError(f"nothing was written to {path}")
         return True
+    finally:
+        lock.release()

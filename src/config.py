@@ -15,7 +15,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.utils import get_object
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-LOCAL = ("hydra", "paths", "logger", "seed", "force", "figures")
+LOCAL = ("hydra", "paths", "logger", "seed", "force", "figures", "threads")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
 LOCAL_TRAINER = ("accelerator", "devices", "logger", "log_every_n_steps", "num_sanity_val_steps")
 """The same of the trainer's keys, with everything that starts with ``enable_``."""
@@ -155,7 +155,7 @@ class Config:
     precision: str = MISSING
     """``bf16`` or ``fp32``; see :func:`native_precision`."""
     threads: int = 2
-    """Of torch; sums, and so results, may depend on it in the last digits."""
+    """Of torch. Sums depend on it in the last digits, as they do on the processor; neither is part of the hash."""
     force: bool = False
     collect: CollectConfig = field(default_factory=CollectConfig)
     pretrain: PretrainConfig = field(default_factory=PretrainConfig)
@@ -268,6 +268,8 @@ def validate(cfg: DictConfig) -> None:
         raise ConfigError(reason)
     _choice("labels", cfg.labels, ("truth", "vision"))
     _choice("precision", cfg.precision, ("bf16", "fp32"))
+    if "precision" in cfg.trainer:
+        raise ConfigError("trainer.precision has no effect here: use precision=bf16 or precision=fp32")
     _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
     _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
     _at_least("finetune.attempts", cfg.finetune.attempts, 0)

@@ -369,7 +369,7 @@ class Run:
                 key: cfg[key].name
                 for key in ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
             }
-            | {"labels": cfg.labels, "seed": cfg.seed},
+            | {"labels": cfg.labels, "seed": cfg.seed, "precision": cfg.precision, "motion": cfg.robot.get("motion")},
             "config_hash": config_hash(cfg),
             "versions": versions(),
             "seconds": done["seconds"],

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hydra import compose, initialize_config_module
 from see2act.config import ConfigError, config_hash, illegal_cell, validate
 from see2act.main import _check, _move_aside, identity, refuse_foreign
 
@@ -171,5 +172,16 @@ def test_the_precision_is_the_processors_own_and_part_of_the_hash(config: Callab
         assert cfg.precision == expected
         hashes.add(config_hash(cfg))
     assert len(hashes) == 2
+    with pytest.raises(ConfigError, match="use precision=bf16"):
+        validate(config("+trainer.precision=bf16-mixed"))
     with pytest.raises(ConfigError, match="precision=fp16"):
         validate(config("precision=fp16"))
+
+
+@pytest.mark.parametrize(("launcher", "jobs"), [("joblib", -1), ("basic", None)])
+def test_hydra_s_launchers_compose(launcher: str, jobs: int | None) -> None:
+    with initialize_config_module("see2act.conf", version_base="1.3"):
+        default = compose("train", return_hydra_config=True)
+        cfg = compose("train", [f"hydra/launcher={launcher}"], return_hydra_config=True)
+    assert default.hydra.launcher.n_jobs == -1
+    assert cfg.hydra.launcher.get("n_jobs") == jobs

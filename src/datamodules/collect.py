@@ -16,7 +16,7 @@ from see2act.seeding import generator, seed_for
 from tqdm import tqdm
 
 RobotFactory = Callable[[], SimulatedRobot]
-TASK = 3
+SCENES_IN_A_ROW = 3
 """Scenes that a worker makes in a row with one robot."""
 ARRAYS = ("color", "height", "valid", "clean_color", "clean_height", "clean_valid", "body")
 
@@ -74,7 +74,10 @@ def collect(
     """
     counts = [min(per_scene, interactions - done) for done in range(0, interactions, per_scene)]
     scenes = list(enumerate(counts))
-    tasks = [delayed(_scenes)(make_robot, seed, scenes[i : i + TASK], most_objects) for i in range(0, len(scenes), TASK)]
+    tasks = [
+        delayed(_scenes)(make_robot, seed, scenes[i : i + SCENES_IN_A_ROW], most_objects)
+        for i in range(0, len(scenes), SCENES_IN_A_ROW)
+    ]
     parts: list[Collection] = []
     with tqdm(total=interactions, desc="collect", disable=None) as bar:
         for done in Parallel(workers, backend="loky", return_as="generator")(tasks):

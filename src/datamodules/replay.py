@@ -124,6 +124,8 @@ class _Priorities:
     def draw(self, size: int, rng: np.random.Generator) -> Int[np.ndarray, " size"]:
         """Indices, with replacement."""
         upto = np.cumsum(self._sums)
+        if not 0 < upto[-1] < np.inf:
+            raise ValueError("replay priorities are not finite and positive: the network has diverged, lower finetune.*_lr")
         target = rng.random(size) * upto[-1]
         blocks = np.searchsorted(upto, target, side="right").clip(0, (self._count - 1) // BLOCK)
         drawn = np.empty(size, int)

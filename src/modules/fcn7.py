@@ -55,7 +55,6 @@ class FCN7(PixelNetwork):
             Logits(width, 1, 1),
         )
         super().__init__(backbone, head, stride=4, reach=48)
-        self._layers = (*backbone, *head)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -72,10 +71,11 @@ class FCN7(PixelNetwork):
         A window that ends at an edge of the input ends there for every layer, so that the padding is the same.
         """
         x = x.contiguous(memory_format=self._layout)
-        stride = 1
+        stride, coarsest = 1, False
         with self.autocast():
             for layer, reach in self._reaches():
-                if isinstance(layer, Residual):
+                coarsest |= stride == self.stride
+                if coarsest and isinstance(layer, Residual):  # before, a crop would shift which pixels are pooled together
                     x, row, col = _crop(x, row, col, stride, reach)
                 x = layer(x)
                 stride = {nn.MaxPool2d: stride * 2, nn.Upsample: stride // 2}.get(type(layer), stride)
@@ -84,7 +84,7 @@ class FCN7(PixelNetwork):
     def _reaches(self) -> list[tuple[nn.Module, int]]:
         """Every layer with how many of its inputs, to each side, a logit depends on."""
         reaches, reach = [], 0
-        for layer in reversed(self._layers):
+        for layer in reversed([*self.backbone.children(), *self.head.children()]):
             match layer:
                 case Residual():
                     reach += 2

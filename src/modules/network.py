@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
+PRECISIONS = ("fp32", "bf16")
+
 
 class Normalization(nn.Module):
     """Mean and standard deviation of the four input channels (R, G, B in 0..1, height in metres).
@@ -39,7 +41,7 @@ class PixelNetwork(nn.Module):
 
     Args:
         backbone: Feature extractor.
-        head: Prediction layers; the last one is a :class:`Logits`.
+        head: Prediction layers, a :class:`Logits` among them.
         stride: Input sides must be multiples of this.
         reach: Pixels around a logit that can influence it, on each side.
     """
@@ -60,6 +62,8 @@ class PixelNetwork(nn.Module):
         Args:
             precision: ``fp32``, or ``bf16`` for bfloat16 in all but the logits; parameters stay in single precision.
         """
+        if precision not in PRECISIONS:
+            raise ValueError(f"precision={precision} is unknown: choose one of {', '.join(PRECISIONS)}")
         self._precision = precision
         self._layout = torch.channels_last
         self.to(memory_format=self._layout)

@@ -90,9 +90,11 @@ class Arm:
         client = self._simulation.client
         for link, color in self._looks:
             client.changeVisualShape(self.body, link, rgbaColor=(*color[:3], 0))
-        yield
-        for link, color in self._looks:
-            client.changeVisualShape(self.body, link, rgbaColor=color)
+        try:
+            yield
+        finally:
+            for link, color in self._looks:
+                client.changeVisualShape(self.body, link, rgbaColor=color)
 
     def solve(self, position: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "6"] | None:
         """Joint angles that put ``tool0`` at a world position, pointing down, turned by ``angle``.
@@ -133,7 +135,7 @@ class Arm:
         self.move(self._home)
 
     def travel(self, waypoints: Float[np.ndarray, "n 6"]) -> None:
-        """Go through joint targets, one a step, where there is nothing to touch and nothing in hand."""
+        """Go through joint targets, one a step, with nothing in hand and nothing that should be touched on the way."""
         if not self.jumps:
             self.follow(waypoints)
             return

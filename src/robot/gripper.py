@@ -104,8 +104,10 @@ class Gripper(EndEffector):
         return self.size * CRANK * (np.sqrt(1 - sine.clip(0, np.sin(CRANK_OPEN)) ** 2) - np.cos(CRANK_OPEN))
 
     def prepare(self) -> None:
+        seconds = self._arm.seconds
         self._drive(0.0)
         self._wait_until_still()
+        self._arm.seconds = seconds  # a real gripper opens on its way
 
     def engage(self) -> None:
         self._drive(0.8)

@@ -16,7 +16,7 @@ from see2act.robot.camera import Camera
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.objects import ObjectSet
 from see2act.robot.scene import BinConfig, Refusal, Scene
-from see2act.robot.simulation import Simulation
+from see2act.robot.simulation import TIMESTEP, Simulation
 from see2act.robot.types import Cause, Heightmap, Observation, Outcome, Pick, RobotError, Split, Truth
 from see2act.robot.workspace import Workspace
 from see2act.seeding import generator
@@ -83,8 +83,9 @@ class SimulatedRobot(Robot):
         arm: The arm's place and speeds.
         bin: The bin's walls and the waiting times.
         clearance: World z in metres of the tool's tip at which free motion ends and the descent begins.
-        motion: ``full`` steps through every motion. ``fast`` jumps where nothing can be touched: between home and the point
-            above a pick, and up again with empty hands. ``robot_seconds`` counts it all the same.
+        motion: ``full`` steps through every motion. ``fast`` jumps where there is nothing to touch, between home and the point
+            above a pick, and also up again with empty hands, which leaves what it would have dragged along where it is.
+            ``robot_seconds`` counts it all the same.
         video: Whether :meth:`film` records; a frame costs 0.1 s.
     """
 
@@ -198,6 +199,8 @@ class SimulatedRobot(Robot):
         arm.home()
         self.scene.settle()
         lost = self.scene.clear_lost()
+        if lost:
+            self.scene.settle()  # what leant on it falls
         return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self.simulation.steps - steps, lost)
 
     def bin_empty(self) -> bool:
@@ -241,6 +244,7 @@ class SimulatedRobot(Robot):
 
         if self.arm.jumps and not engaged:
             self.arm.travel(up)
+            self.arm.seconds += HOLD_STEPS * TIMESTEP
             return
 
         def tend() -> bool:

@@ -159,7 +159,8 @@ class Scene:
     def wake(self) -> None:
         """Let every object move, as if something had touched it."""
         client = self._simulation.client
-        # Left to itself Bullet puts to sleep what has been slow for two seconds, in the middle of tipping over too.
+        # Left to itself Bullet puts to sleep what has been slow for two seconds, in the middle of tipping over too; what an
+        # attempt has woken could be put to sleep like that, until the settling after it wakes everything.
         self._activate(client.ACTIVATION_STATE_DISABLE_SLEEPING)
         self._activate(client.ACTIVATION_STATE_WAKE_UP)
 

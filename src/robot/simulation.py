@@ -88,8 +88,10 @@ class Simulation:
     def careful(self) -> Iterator[None]:
         """Contacts are solved more exactly during the block, for what only friction holds."""
         self.client.setPhysicsEngineParameter(numSolverIterations=CAREFUL_ITERATIONS)
-        yield
-        self.client.setPhysicsEngineParameter(numSolverIterations=SOLVER_ITERATIONS)
+        try:
+            yield
+        finally:
+            self.client.setPhysicsEngineParameter(numSolverIterations=SOLVER_ITERATIONS)
 
     def cast(self, starts: Float[np.ndarray, "n 3"], ends: Float[np.ndarray, "n 3"], groups: int = -1) -> Hits:
         """Rays between world points, metres.

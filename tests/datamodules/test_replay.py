@@ -55,6 +55,14 @@ def test_draws_across_blocks_follow_priorities() -> None:
     assert np.bincount(drawn % 7, minlength=7)[0] < 0.02 * len(drawn)
 
 
+def test_priorities_that_are_no_numbers_end_the_run() -> None:
+    replay = _filled(5)
+    replay.sample(3)
+    replay.update(np.array([0.1, np.nan, 0.2]))
+    with pytest.raises(ValueError, match="the network has diverged"):
+        replay.sample(3)
+
+
 def test_importance_weights_undo_the_bias() -> None:
     replay = _filled(2, alpha=1.0, beta=1.0)
     replay._drawn = np.array([0, 1])

@@ -32,15 +32,18 @@ def _batch(angles: int, n: int = 6) -> dict[str, torch.Tensor]:
     }
 
 
+@pytest.mark.parametrize(("precision", "tolerance"), [(None, 1e-4), ("fp32", 1e-4), ("bf16", 0.1)])
 @pytest.mark.parametrize("angles", [1, 16])
-def test_training_and_acting_see_the_same_logit(angles: int) -> None:
+def test_training_and_acting_see_the_same_logit(angles: int, precision: str | None, tolerance: float) -> None:
     """The pixel that the robot executes is the pixel that is trained, at the same angle and in the same frame."""
     module, batch = _module(angles), _batch(angles)
+    if precision:
+        module.network.speed_up(precision)
     learned = module.executed_logits(batch)
     for i in range(len(learned)):
         maps = module.affordances(batch["color"][i].numpy(), batch["height"][i].numpy())
         acted = maps[batch["angle"][i], batch["row"][i], batch["col"][i]]
-        assert acted == pytest.approx(learned[i].item(), abs=1e-4)
+        assert acted == pytest.approx(learned[i].item(), abs=tolerance)
 
 
 @pytest.mark.parametrize("angles", [1, 16])

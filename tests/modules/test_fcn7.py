@@ -97,6 +97,21 @@ def test_frozen_batchnorm_stays(network: FCN7) -> None:
     assert network.training
 
 
+@pytest.mark.parametrize("side", [100, 144, 204])
+def test_one_logit_is_that_of_the_whole_map(network: FCN7, side: int) -> None:
+    torch.nn.init.normal_(network.head[-1].weight)
+    x = torch.randn(4, 4, side, side)
+    row, col = torch.tensor([[0, side - 1], [side // 2, side // 2 + 1], [77, 78], [side - 3, 50]]).T
+    with torch.no_grad():
+        whole = network.eval()(x)[torch.arange(4), 0, row, col]
+        assert torch.allclose(network.logits_at(x, row, col), whole, atol=1e-4 * float(whole.std()))
+
+
+def test_an_unknown_precision_is_refused(network: FCN7) -> None:
+    with pytest.raises(ValueError, match="precision=bf-16"):
+        network.speed_up("bf-16")
+
+
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_the_fast_way_gives_the_same_logits(network: FCN7, precision: str) -> None:
     torch.nn.init.normal_(network.head[-1].weight)
