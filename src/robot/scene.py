@@ -17,8 +17,9 @@ from see2act.robot.types import Split
 
 AT_REST, TURNING = 0.01, 0.5
 """m/s and rad/s. What is slower counts as lying still."""
-STILL_CHECKS = 4
-"""Times in a row, ten timesteps apart, that all must lie still: what tips over is slow for a moment too."""
+STILL_CHECKS, STILL_CHECKS_AT_FIRST = 4, 24
+"""Times in a row, ten timesteps apart, that all must lie still, after an attempt and in a new scene: what tips over is slow
+for a moment too."""
 TOUCHING = 0.001
 """Metres between two objects that count as touching."""
 
@@ -112,14 +113,14 @@ class Scene:
         self.settle(self._config.settle_steps)
         for guide in guides:
             client.removeBody(guide)
-        if not self.settle(self._config.settle_steps):
+        if not self.settle(self._config.settle_steps, STILL_CHECKS_AT_FIRST):
             return "restless"
         if not all(self._inside(body) for body in self.bodies):
             return "spilled"
         scattered = count is None and len(self.bodies) > 1 and self.touching() < self._config.touching
         return "scattered" if scattered else None
 
-    def settle(self, steps: int | None = None) -> bool:
+    def settle(self, steps: int | None = None, checks: int = STILL_CHECKS) -> bool:
         """Step until every object lies still, at most ``steps`` times; whether they do.
 
         What lies still is put to sleep, and costs no time until something touches it.
@@ -130,7 +131,7 @@ class Scene:
             self._simulation.step()
             if i % 10 == 9:
                 still = still + 1 if self.at_rest() else 0
-                if still == STILL_CHECKS:
+                if still == checks:
                     self._sleep()
                     return True
         return False
