@@ -21,7 +21,7 @@ from see2act.policy import Policy
 from see2act.robot.oracle import ExactHeights, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Split
-from see2act.seeding import generator, seed_for
+from see2act.seeding import generator
 from see2act.statistics import wilson
 
 from benchmarks.common import PRIMITIVES, arguments, at_least_one, show, spread
@@ -51,7 +51,7 @@ def measure(overrides: list[str], primitive: str, split: Split, policy: str, sce
     for run in count():
         if attempts >= wanted:
             break
-        seed = scene_seed(split, run) if scenes == "evaluate" else seed_for(f"scene/develop/{split}", run)
+        seed = scene_seed(split, run, scenes)
         for done in one_test_run(robot, looking, rule.fresh(), seed, split, cfg.evaluate.attempts[split]):
             if policy == "oracle":
                 name = names.get(int(aimed[0][done.choice.row, done.choice.col]), "floor")

@@ -125,6 +125,7 @@ class EvaluateConfig:
     runs: int = MISSING
     at: list[int] = MISSING
     attempts: dict[str, int] = MISSING
+    scenes: str = MISSING
 
 
 @dataclass
@@ -271,6 +272,7 @@ def validate(cfg: DictConfig) -> None:
     if "precision" in cfg.trainer:
         raise ConfigError("trainer.precision has no effect here: use precision=bf16 or precision=fp32")
     _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
+    _choice("evaluate.scenes", cfg.evaluate.scenes, ("evaluate", "develop"))
     _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
     _at_least("finetune.attempts", cfg.finetune.attempts, 0)
     for key in ("collect.interactions", "collect.per_scene", "collect.workers", "pretrain.epochs", "pretrain.batch_size"):

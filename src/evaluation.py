@@ -23,15 +23,17 @@ class Protocol:
     Args:
         runs: Test runs a split.
         attempts: Most attempts of a test run, by split (paper: 25 seen, 15 unseen).
+        scenes: ``evaluate``, or ``develop`` for other scenes: those to choose settings by.
     """
 
     runs: int
     attempts: dict[str, int]
+    scenes: str = "evaluate"
 
 
-def scene_seed(split: Split, run: int) -> int:
+def scene_seed(split: Split, run: int, scenes: str = "evaluate") -> int:
     """The canonical scene of a test run: the same for every arm and seed, and never used in training."""
-    return seed_for(f"scene/evaluate/{split}", run)
+    return seed_for(f"scene/{scenes}/{split}", run)
 
 
 def evaluate(
@@ -73,7 +75,7 @@ def _split(
 ) -> dict[str, Any]:
     runs, truths = [], 0
     for run in range(protocol.runs):
-        seed, results = scene_seed(split, run), []
+        seed, results = scene_seed(split, run, protocol.scenes), []
         for done in one_test_run(robot, affordances, policy.fresh(), seed, split, protocol.attempts[split]):
             record(done, split=split, policy=policy.name, run=run, episode=run, scene_seed=seed)
             results.append(done.outcome)

@@ -55,7 +55,7 @@ class Run:
         self.checkpoints = folder / "checkpoints"
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         self.progress = Progress(folder / "progress.json")
-        self.protocol = Protocol(cfg.evaluate.runs, dict(cfg.evaluate.attempts))
+        self.protocol = Protocol(cfg.evaluate.runs, dict(cfg.evaluate.attempts), cfg.evaluate.scenes)
         self.attempts = cfg.finetune.attempts if cfg.transfer.finetune else 0
 
     def __call__(self) -> dict[str, Any]:

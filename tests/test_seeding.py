@@ -16,5 +16,6 @@ def test_training_never_sees_an_evaluation_scene() -> None:
     evaluation = {scene_seed(split, run) for split in SPLITS for run in range(20)}
     training = {seed_for("scene/finetune", seed, episode) for seed in range(10) for episode in range(200)}
     collection = {seed_for("scene/collect", 0, scene) for scene in range(1000)}
+    develop = {scene_seed(split, run, "develop") for split in SPLITS for run in range(20)}
     assert len(evaluation) == 40
-    assert evaluation.isdisjoint(training | collection)
+    assert evaluation.isdisjoint(training | collection | develop)

@@ -12,6 +12,9 @@ from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import Rotations
 from torch import Tensor
 
+TOGETHER = 4
+"""Rotations that go through the network at once: more of them no longer fit a processor's cache."""
+
 
 class AffordanceModule(L.LightningModule):
     """A network that learns from the single pixel where the robot tried.
@@ -52,7 +55,8 @@ class AffordanceModule(L.LightningModule):
         training = self.training
         self.eval()
         x = self.network.prepare(torch.from_numpy(color)[None], torch.from_numpy(height)[None])
-        maps = self.rotations.back(self.network(self.rotations.all(x)))
+        turned = self.rotations.all(x).split(TOGETHER)
+        maps = self.rotations.back(torch.cat([self.network(maps) for maps in turned]))
         self.train(training)
         return maps.float().numpy()
 
