@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from statistics import median
+from time import process_time
 from typing import Any
 
 from rich.console import Console
@@ -16,6 +18,7 @@ from see2act.files import write_json
 from tqdm import tqdm
 
 PRIMITIVES = ("suction", "grasp")
+Work = Callable[[], Any]
 
 
 def arguments(description: str | None, workers: bool = True) -> argparse.ArgumentParser:
@@ -57,3 +60,51 @@ def finish(title: str, rows: list[dict[str, Any]], path: Path | None) -> None:
     show(title, rows)
     if path:
         write_json(path, rows)
+
+
+def race(ours: Work, plain: Work, repeats: int) -> tuple[float, float]:
+    """Median processor seconds of both, taken in turns after a warm-up; one thread, so load elsewhere matters little."""
+    times: tuple[list[float], list[float]] = ([], [])
+    for repeat in range(repeats + 1):
+        for work, seconds in zip((ours, plain), times, strict=True):
+            start = process_time()
+            work()
+            if repeat:
+                seconds.append(process_time() - start)
+    return median(times[0]), median(times[1])
+
+
+def faster(name: str, seconds: float, naive: float, target: float | None) -> dict[str, Any]:
+    """A row that says how many times faster than the plain way something is, at least."""
+    ratio = naive / seconds
+    return _row(name, seconds, naive, ratio, f">= {target:g}" if target else "", ratio >= target if target else None)
+
+
+def overhead(name: str, seconds: float, naive: float, target: float | None) -> dict[str, Any]:
+    """A row that says how many times as long as its bare core something takes, at most."""
+    ratio = seconds / naive
+    return _row(name, seconds, naive, ratio, f"<= {target:g}" if target else "", ratio <= target if target else None)
+
+
+def _row(name: str, seconds: float, naive: float | None, ratio: float | None, target: str, met: bool | None) -> dict[str, Any]:
+    return {"name": name, "seconds": seconds, "naive_seconds": naive, "ratio": ratio, "target": target, "met": met}
+
+
+def not_here(name: str) -> dict[str, Any]:
+    unknown = dict.fromkeys(("seconds", "naive_seconds", "ratio", "target"))
+    return {"name": name, **unknown, "met": "n/a: this processor does not compute in bfloat16"}
+
+
+def limit(name: str, seconds: float, most: float) -> dict[str, Any]:
+    """A row for a time in seconds that has no plain twin."""
+    return _row(name, seconds, None, None, f"<= {most:g} s", seconds <= most)
+
+
+def timed(description: str | None, title: str, rows: Callable[[list[str], int], list[dict[str, Any]]]) -> None:
+    """The command of a measurement of time: ``rows(overrides, repeats)``, printed and written."""
+    parser = arguments(description, workers=False)
+    parser.add_argument(
+        "--repeats", type=at_least_one, default=9, metavar="N", help="of what is fast; fewer of the rest (default 9)"
+    )
+    args = parser.parse_args()
+    finish(title, rows(args.overrides, args.repeats), args.json)

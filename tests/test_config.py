@@ -174,7 +174,7 @@ def test_the_precision_is_the_processors_own_and_part_of_the_hash(config: Callab
     assert len(hashes) == 2
     with pytest.raises(ConfigError, match="use precision=bf16"):
         validate(config("+trainer.precision=bf16-mixed"))
-    with pytest.raises(ConfigError, match="evaluate.scenes=test"):
+    with pytest.raises(ConfigError, match="scenes=test"):
         validate(config("evaluate.scenes=test"))
     with pytest.raises(ConfigError, match="precision=fp16"):
         validate(config("precision=fp16"))

@@ -64,7 +64,9 @@ def test_a_run_ends_when_the_bin_is_empty_or_its_attempts_are_spent(objects: int
 
 def test_settings_can_be_chosen_by_other_scenes() -> None:
     robot = CountingRobot(2)
-    evaluate(robot, _affordances, Policy("argmax", False), Protocol(1, {"seen": 1, "unseen": 1}, "develop"), lambda a, **w: None)
+    evaluate(
+        robot, _affordances, Policy("argmax", False), Protocol(1, {"seen": 1, "unseen": 1}, "develop"), lambda a, **w: None
+    )
     assert robot.resets == [(scene_seed(split, 0, "develop"), split) for split in ("seen", "unseen")]
     assert robot.resets != [(scene_seed(split, 0), split) for split in ("seen", "unseen")]
 

@@ -1,0 +1,182 @@
+"""How long learning takes as a whole: an attempt of the loop, an image of pre-training, and all runs of the benchmark.
+
+Vision models come from the cache, or are made now at the default numbers.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from time import process_time
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from see2act import attempts_csv, build
+from see2act.attempts_csv import AttemptsCsv
+from see2act.config import composed
+from see2act.datamodules.collect import Collection
+from see2act.datamodules.replay import Replay
+from see2act.datamodules.vision import VisionDataModule
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.vision import VisionModule
+from see2act.pipeline import Run
+from see2act.quiet import quiet
+from see2act.seeding import generator, seed_for
+
+from benchmarks.common import faster, limit, overhead, timed
+
+SOURCES = {"suction": "normal", "grasp": "foreground"}
+"""The paper's best vision task for each primitive."""
+SECONDS = {"suction": 0.3, "grasp": 0.6}
+"""An attempt may take, learning included, on one core."""
+ATTEMPTS = {"suction": 300, "grasp": 400}
+"""Of fine-tuning, in a run of the benchmark."""
+RUNS = 35
+"""Of each primitive: six sources transferred whole (none counts as one) and a backbone, with five seeds each."""
+TEST_RUNS = 3
+VISION_TASKS = 5
+HOURS = 3.0
+EMPTY_BIN = 10 / 0.7
+"""Attempts of a test run, if a bin of ten objects is emptied at a success rate of 0.7."""
+
+
+def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
+    """The whole table, on one thread."""
+    quiet()
+    torch.set_num_threads(1)
+    table, stages = [], {}
+    with TemporaryDirectory() as scratch:
+        for primitive, task in SOURCES.items():
+            cfg = composed(
+                [
+                    *overrides,
+                    *(f"primitive={primitive}", f"task={task}", "transfer=full"),
+                    *(f"finetune.attempts={10 * repeats}", "threads=1", "logger=none"),
+                ]
+            )
+            run = Run(cfg, Path(scratch) / primitive)
+            collection = run.collect()
+            module, _ = run.transfer(collection, run.pretrain(collection))
+            more, stages[primitive] = looping(run, module, primitive)
+            table += more
+        more, image = pretraining(run, collection, repeats)
+        table += more
+    hours = sum(_grid(composed([f"primitive={primitive}"]), stages[primitive]) for primitive in SOURCES)
+    hours += VISION_TASKS * cfg.pretrain.epochs * len(collection) * image / 3600
+    return [*table, limit(f"{2 * RUNS} runs of the benchmark on two cores", hours / 2 * 3600, HOURS * 3600)]
+
+
+def looping(run: Run, module: AffordanceModule, primitive: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    """The first attempts of a run, through Lightning with log and checkpoints, against its stages one after the other.
+
+    Returns:
+        Rows, and the seconds of each stage an attempt.
+    """
+    plain = copy.deepcopy(module)
+    stages: dict[str, float] = defaultdict(float)
+    run._attempts = AttemptsCsv(run.folder / "attempts.csv", lambda row: False)
+    start = process_time()
+    run._fit(module, None, [])
+    ours = (process_time() - start) / run.attempts
+    for name, seconds in _stages(run.cfg, plain, run.folder / "attempts.csv"):
+        stages[name] += seconds / run.attempts
+    alone = sum(stages.values())
+    return [
+        overhead(f"attempt of the loop, {primitive}, against its stages alone", ours, alone, 1.1),
+        limit(f"attempt of the loop, {primitive}", ours, SECONDS[primitive]),
+        *(overhead(f"  {name}", seconds, alone, None) for name, seconds in stages.items()),
+    ], stages
+
+
+def _stages(cfg: DictConfig, module: AffordanceModule, log: Path) -> Iterator[tuple[str, float]]:
+    """The attempts of ``log`` once more, without Lightning: what each stage takes.
+
+    Raises:
+        RuntimeError: The attempts differ.
+    """
+    robot, policy = build.robot_factory(cfg, cfg.primitive)(), build.policy(cfg)
+    replay = Replay(**cfg.finetune.replay, rng=generator("replay", cfg.seed))
+    explore, optimizer = generator("explore", cfg.seed), module.configure_optimizers()
+    module.train()
+    seconds: dict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def timing(name: str) -> Iterator[None]:
+        start = process_time()
+        yield
+        seconds[name] += process_time() - start
+
+    episode, tried = -1, cfg.finetune.episode_attempts
+    for row in attempts_csv.read(log):
+        if tried == cfg.finetune.episode_attempts or robot.bin_empty():
+            episode, tried = episode + 1, 0
+            policy.forget()
+            with timing("filling the bin"):
+                robot.reset(seed_for("scene/finetune", cfg.seed, episode), "seen")
+        with timing("observing"):
+            heightmap = robot.observe().heightmap
+        with timing("deciding"):
+            logits = module.affordances(heightmap.color, heightmap.height)
+            choice = policy.choose(logits, heightmap, cfg.finetune.temperature, explore)
+        pick = robot.workspace.pick(heightmap, choice.row, choice.col, choice.angle * torch.pi / len(logits))
+        with timing("acting"):
+            outcome = robot.execute(pick)
+        if (choice.row, choice.col, outcome.success) != (int(row["row"]), int(row["col"]), bool(int(row["success"]))):
+            raise RuntimeError("the loop attempts something else than its stages one after the other")
+        policy.remember(choice, heightmap, outcome.success)
+        tried += 1
+        with timing("learning"):
+            replay.add(heightmap.color, heightmap.height, choice.angle, choice.row, choice.col, outcome.success)
+            for _ in range(cfg.finetune.updates):
+                optimizer.zero_grad()
+                module.training_step(replay.sample(cfg.finetune.batch_size), 0).backward()
+                optimizer.step()
+                assert module.surprise is not None
+                replay.update(module.surprise.numpy())
+    robot.close()
+    yield from seconds.items()
+
+
+def pretraining(run: Run, collection: Collection, repeats: int) -> tuple[list[dict[str, Any]], float]:
+    """An image of an epoch, loading and augmentation and all, against the network's forward and backward alone.
+
+    Returns:
+        Rows, and the seconds of an image.
+    """
+    cfg = run.cfg
+    data = VisionDataModule(collection, build.task(cfg), cfg.labels, cfg.pretrain.batch_size, cfg.pretrain.validation, 0)
+    steps = data.steps_per_epoch
+    module = VisionModule(run._network(0), cfg.pretrain.lr, cfg.pretrain.weight_decay, 1.0, steps, 0)
+    batch = next(iter(data.train_dataloader()))
+    x, label = module.network.prepare(batch["color"], batch["height"]), batch["label"][:, None].float()
+    ours, bare = [], []
+    for _ in range(max(1, repeats // 3)):
+        trainer = run._trainer("vision", max_epochs=1, limit_val_batches=0, enable_progress_bar=False)
+        start = process_time()
+        trainer.fit(module, datamodule=data)
+        ours.append((process_time() - start) / steps)
+        start = process_time()
+        for _ in range(steps):
+            module.loss(module.network(x), label).backward()
+        bare.append((process_time() - start) / steps)
+    seconds, naive = median(ours) / len(x), median(bare) / len(x)
+    return [faster("pre-training, an image, against forward and backward alone", seconds, naive, 0.8)], seconds
+
+
+def _grid(cfg: DictConfig, stages: dict[str, float]) -> float:
+    """Hours of one core for all runs of a primitive."""
+    attempts = ATTEMPTS[cfg.primitive.name]
+    tests = len({0, *cfg.primitive.evaluate_at}) + 1  # the last is that of the plain argmax
+    attempted = tests * TEST_RUNS * sum(min(EMPTY_BIN, n) for n in cfg.evaluate.attempts.values())
+    tested = sum(stages[name] for name in ("observing", "deciding", "acting", "filling the bin"))
+    return RUNS * (attempts * sum(stages.values()) + attempted * tested) / 3600
+
+
+if __name__ == "__main__":
+    timed(__doc__, "Learning as a whole", rows)
