@@ -120,6 +120,9 @@ def test_same_seed_same_attempts_and_a_killed_run_continues(tmp_path: Path, cach
     assert not (killed / "result.json").exists()
     _train(killed, cache, *overrides)
     assert _rows(killed) == _rows(whole)
+    weights = [torch.load(f / "checkpoints" / "affordance.ckpt", weights_only=True)["state_dict"] for f in (whole, killed)]
+    assert weights[0].keys() == weights[1].keys()
+    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
     assert json.loads((killed / "result.json").read_text())["evals"] == json.loads((whole / "result.json").read_text())["evals"]
 
 

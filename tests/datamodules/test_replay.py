@@ -27,6 +27,17 @@ def test_a_batch_holds_what_was_added() -> None:
     assert batch["label"].dtype == torch.float32
 
 
+def test_heightmaps_are_kept_to_a_tenth_of_a_millimetre() -> None:
+    rng = np.random.default_rng(0)
+    color, height = rng.integers(0, 256, (9, 7, 3), np.uint8), rng.uniform(-0.01, 0.3, (9, 7)).astype(np.float32)
+    replay = Replay(0.6, 0.4, 0.01, rng)
+    replay.add(color, height, 0, 0, 0, True)
+    batch = replay.sample(1)
+    assert (batch["color"][0].numpy() == color).all()
+    assert batch["height"].dtype == torch.float32
+    assert np.abs(batch["height"][0].numpy() - height).max() < 0.51e-4
+
+
 def test_the_newest_attempt_is_in_every_batch() -> None:
     replay = _filled(50)
     assert all(replay.sample(4)["color"][0, 0, 0, 0] == 49 for _ in range(10))
