@@ -100,6 +100,7 @@ class ReplayConfig:
     alpha: float = MISSING
     beta: float = MISSING
     floor: float = MISSING
+    mirror: bool = MISSING
 
 
 @dataclass

@@ -28,11 +28,13 @@ class Replay:
         alpha: How much priorities count; 0 samples uniformly.
         beta: How much the bias is corrected.
         floor: Smallest priority.
+        mirror: Whether half of the heightmaps, drawn anew each time, are to be mirrored by rows, and half by columns:
+            a cup does not mind, and a grasp that is horizontal in the turned heightmap stays so.
         rng: Generator of the draws.
     """
 
-    def __init__(self, alpha: float, beta: float, floor: float, rng: np.random.Generator):
-        self._beta, self._floor = beta, floor
+    def __init__(self, alpha: float, beta: float, floor: float, mirror: bool, rng: np.random.Generator):
+        self._beta, self._floor, self._mirror = beta, floor, mirror
         self._rng = rng
         self._items: dict[str, list] = {name: [] for name in COLUMNS}
         self._heightmaps: list[bytes] = []
@@ -55,7 +57,7 @@ class Replay:
 
     def sample(self, size: int) -> dict[str, Tensor]:
         """A batch, the newest attempt always in it: color (B, H, W, 3) uint8, height (B, H, W) float32, angle, row,
-        col int64, label and weight float32."""
+        col int64, label and weight float32, mirror (B, 2) bool."""
         drawn = self._priorities.draw(size, self._rng)
         drawn[0] = len(self) - 1
         self._drawn = drawn
@@ -66,6 +68,7 @@ class Replay:
             "height": torch.from_numpy(np.stack(height)),
             **{name: torch.tensor([self._items[name][i] for i in drawn]) for name in COLUMNS},
             "weight": torch.tensor(weight / weight.max(), dtype=torch.float32),
+            "mirror": torch.from_numpy((self._rng.random((size, 2)) < 0.5) & self._mirror),
         }
 
     def update(self, surprise: Float[np.ndarray, " B"]) -> None:

@@ -6,7 +6,7 @@ import lightning as L
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from see2act.modules.batchnorm import freeze
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import Rotations
@@ -73,14 +73,19 @@ class AffordanceModule(L.LightningModule):
 
         With frozen statistics the network runs on the window that the pixel depends on, which gives the same
         numbers. Statistics of the batch depend on every pixel, so there the whole canvas is used.
+        A batch may say which of its turned heightmaps to mirror.
         """
         x = self.network.prepare(batch["color"], batch["height"])
         angle, row, col = batch["angle"], batch["row"], batch["col"]
         if self._frozen:
-            return self.network.logits_at(*self.rotations.window(x, angle, row, col, self.network.reach))
-        logits = self.network(self.rotations.turned(x, angle))
-        row, col = self.rotations.locate(angle, row, col)
-        executed: Tensor = logits[torch.arange(len(row)), 0, row, col]
+            x, row, col = self.rotations.window(x, angle, row, col, self.network.reach)
+        else:
+            x, (row, col) = self.rotations.turned(x, angle), self.rotations.locate(angle, row, col)
+        if "mirror" in batch:
+            x, row, col = _mirrored(x, row, col, batch["mirror"])
+        if self._frozen:
+            return self.network.logits_at(x, row, col)
+        executed: Tensor = self.network(x)[torch.arange(len(row)), 0, row, col]
         return executed
 
     def train(self, mode: bool = True) -> AffordanceModule:
@@ -92,3 +97,12 @@ class AffordanceModule(L.LightningModule):
     def configure_optimizers(self) -> torch.optim.Optimizer:
         groups = [{"params": getattr(self.network, part).parameters(), "lr": lr} for part, lr in self._rates.items()]
         return torch.optim.Adam(groups, weight_decay=self._weight_decay)
+
+
+def _mirrored(x: Tensor, row: Tensor, col: Tensor, mirror: Bool[Tensor, "B 2"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Inputs (B, 4, h, w) with rows, columns or both in reverse order, and the pixels in them."""
+    upside_down, left_right = mirror.T
+    x = torch.where(upside_down[:, None, None, None], x.flip(2), x)
+    x = torch.where(left_right[:, None, None, None], x.flip(3), x)
+    row = torch.where(upside_down, x.shape[2] - 1 - row, row)
+    return x, row, torch.where(left_right, x.shape[3] - 1 - col, col)

@@ -9,7 +9,7 @@ from see2act.datamodules.replay import BLOCK, Replay, _Priorities
 
 
 def _filled(n: int, alpha: float = 0.6, beta: float = 0.4) -> Replay:
-    replay = Replay(alpha, beta, 0.01, np.random.default_rng(0))
+    replay = Replay(alpha, beta, 0.01, True, np.random.default_rng(0))
     for i in range(n):
         color = np.full((4, 4, 3), i, np.uint8)
         replay.add(color, np.full((4, 4), i / 100, np.float32), i % 16, i % 4, 3 - i % 4, i % 2 == 0)
@@ -30,7 +30,7 @@ def test_a_batch_holds_what_was_added() -> None:
 def test_heightmaps_are_kept_to_a_tenth_of_a_millimetre() -> None:
     rng = np.random.default_rng(0)
     color, height = rng.integers(0, 256, (9, 7, 3), np.uint8), rng.uniform(-0.01, 0.3, (9, 7)).astype(np.float32)
-    replay = Replay(0.6, 0.4, 0.01, rng)
+    replay = Replay(0.6, 0.4, 0.01, True, rng)
     replay.add(color, height, 0, 0, 0, True)
     batch = replay.sample(1)
     assert (batch["color"][0].numpy() == color).all()
@@ -97,7 +97,7 @@ def test_save_and_load_continue_the_same_draws() -> None:
     file = io.BytesIO()
     torch.save(replay.state_dict(), file)
     file.seek(0)
-    restored = Replay(0.6, 0.4, 0.01, np.random.default_rng(99))
+    restored = Replay(0.6, 0.4, 0.01, True, np.random.default_rng(99))
     restored.load_state_dict(torch.load(file, weights_only=True))
     for _ in range(3):
         a, b = replay.sample(8), restored.sample(8)

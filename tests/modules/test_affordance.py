@@ -46,6 +46,20 @@ def test_training_and_acting_see_the_same_logit(angles: int, precision: str | No
         assert acted == pytest.approx(learned[i].item(), abs=tolerance)
 
 
+@pytest.mark.parametrize("batchnorm", ["frozen", "batch"])
+@pytest.mark.parametrize("angles", [1, 16])
+def test_a_mirrored_batch_is_that_of_the_mirrored_scene(angles: int, batchnorm: str) -> None:
+    """A bin mirrored by columns, and the grasp with it, which then turns the other way, or half a turn on."""
+    module, batch = _module(angles, batchnorm), _batch(angles)
+    scene = {**batch, "color": batch["color"].flip(2), "height": batch["height"].flip(2)}
+    scene |= {"col": 143 - batch["col"], "angle": -batch["angle"] % angles}
+    straight = batch["angle"] == 0
+    mirrored = {**batch, "mirror": torch.stack([~straight, straight], dim=1)}  # half a turn exchanges the two
+    expected = module.executed_logits(scene)
+    assert torch.allclose(module.executed_logits(mirrored), expected, atol=1e-3)
+    assert not torch.allclose(module.executed_logits(batch), expected, atol=1e-2)
+
+
 @pytest.mark.parametrize("angles", [1, 16])
 def test_window_gives_the_gradient_of_the_whole_heightmap(angles: int) -> None:
     module, batch = _module(angles), _batch(angles)
