@@ -1,6 +1,6 @@
 import pytest
 from scipy.stats import binomtest
-from see2act.statistics import wilson
+from see2act.statistics import difference_interval, wilson
 
 
 @pytest.mark.parametrize(("successes", "attempts"), [(0, 25), (7, 25), (25, 25), (312, 400)])
@@ -16,3 +16,8 @@ def test_no_attempts_say_nothing() -> None:
 def test_impossible_counts_are_refused() -> None:
     with pytest.raises(ValueError, match="5 successes of 4 attempts"):
         wilson(5, 4)
+
+
+def test_difference_agrees_with_newcombe_s_example() -> None:
+    """Newcombe 1998, table II, contrast (a), method 10."""
+    assert difference_interval(56, 70, 48, 80) == pytest.approx((0.0524, 0.3339), abs=1e-4)

@@ -1,0 +1,72 @@
+"""Whether what makes runs fast changes what they find: the same models on the same scenes, one setting changed at a time.
+
+Vision models, transferred whole and not fine-tuned, come from the cache or are made now. Scenes are not those of evaluation.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+from see2act import build
+from see2act.config import composed
+from see2act.evaluation import SPLITS, Protocol, evaluate
+from see2act.pipeline import Run
+from see2act.statistics import difference_interval
+
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, spread
+from benchmarks.loop import SOURCES
+
+SETTINGS = {
+    "as the benchmark runs": [],
+    "precision=fp32": ["precision=fp32"],
+    "robot.motion=full": ["robot.motion=full"],
+}
+POINTS = 0.03
+"""By which success rates may differ."""
+
+
+def measure(overrides: list[str], primitive: str, setting: str, runs: int) -> dict[str, Any]:
+    """Successes and attempts of ``runs`` test runs a split; the model is that of the settings without the change."""
+    torch.set_num_threads(1)
+    base = [*overrides, f"primitive={primitive}", f"task={SOURCES[primitive]}", "transfer=full", "logger=none"]
+    with TemporaryDirectory() as scratch:
+        run = Run(composed(base), Path(scratch))
+        collection = run.collect()
+        module, _ = run.transfer(collection, run.pretrain(collection))
+    cfg = composed([*base, *SETTINGS[setting]])
+    module.network.speed_up(cfg.precision)
+    robot = build.robot_factory(cfg, cfg.primitive)()
+    protocol = Protocol(runs, dict(cfg.evaluate.attempts), scenes="develop")
+    result = evaluate(robot, module.affordances, build.policy(cfg), protocol, lambda attempt, **where: None)
+    robot.close()
+    counts = {key: sum(result[split][key] for split in SPLITS) for key in ("successes", "attempts")}
+    return {"primitive": primitive, "setting": setting, **counts, "rate": counts["successes"] / counts["attempts"]}
+
+
+def compared(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows with their difference from the first of the same primitive, and its 95 % interval."""
+    first: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        base = first.setdefault(row["primitive"], row)
+        counts = row["successes"], row["attempts"], base["successes"], base["attempts"]
+        low, high = difference_interval(*counts)
+        row |= {"difference": row["rate"] - base["rate"], "low": low, "high": high, "target": f"+- {POINTS}"}
+        row["met"] = abs(row["difference"]) <= POINTS if row is not base else None
+    return rows
+
+
+def main() -> None:
+    """The command."""
+    parser = arguments(__doc__)
+    parser.add_argument("--runs", type=at_least_one, default=12, metavar="N", help="test runs a split (default 12)")
+    args = parser.parse_args()
+    jobs = [(args.overrides, primitive, setting, args.runs) for primitive in PRIMITIVES for setting in SETTINGS]
+    measure(args.overrides, jobs[0][1], jobs[0][2], 1)  # fills the cache before several want it
+    finish("Agreement", compared(list(spread(measure, jobs, args.workers, "agreement"))), args.json)
+
+
+if __name__ == "__main__":
+    main()
