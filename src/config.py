@@ -114,6 +114,7 @@ class FinetuneConfig:
     head_lr: float = MISSING
     weight_decay: float = MISSING
     batchnorm: str = MISSING
+    logit_scale: float = MISSING
     temperature: float = MISSING
     episode_attempts: int = MISSING
     replay: ReplayConfig = field(default_factory=ReplayConfig)
@@ -290,6 +291,8 @@ def validate(cfg: DictConfig) -> None:
         )
     for key in ("finetune.replay.alpha", "finetune.replay.beta", "finetune.replay.floor", "finetune.weight_decay"):
         _at_least(key, OmegaConf.select(cfg, key), 0)
+    if cfg.finetune.logit_scale <= 0:
+        raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
     for key in ("pretrain.lr", "finetune.backbone_lr", "finetune.head_lr", "finetune.temperature"):
         _at_least(key, OmegaConf.select(cfg, key), 0)
     for split in ("seen", "unseen"):

@@ -129,6 +129,8 @@ class Run:
         network.normalization.set(*channel_statistics(collection))
         report = self._copy(vision["network"] if vision else {}, network)
         write_json(self.folder / "transfer.json", report.as_dict())
+        if "head" in cfg.transfer.parts:
+            network.scale_logits(cfg.finetune.logit_scale)
         shape = (collection.arrays["height"].shape[1], collection.arrays["height"].shape[2])
         module = AffordanceModule(
             network,

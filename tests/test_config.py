@@ -174,6 +174,8 @@ def test_the_precision_is_the_processors_own_and_part_of_the_hash(config: Callab
     assert len(hashes) == 2
     with pytest.raises(ConfigError, match="use precision=bf16"):
         validate(config("+trainer.precision=bf16-mixed"))
+    with pytest.raises(ConfigError, match="logit_scale=0"):
+        validate(config("finetune.logit_scale=0"))
     with pytest.raises(ConfigError, match="scenes=test"):
         validate(config("evaluate.scenes=test"))
     with pytest.raises(ConfigError, match="precision=fp16"):

@@ -74,6 +74,14 @@ class PixelNetwork(nn.Module):
         x: Tensor = self.normalization(torch.cat([rgb, height[:, None]], dim=1))
         return x
 
+    @torch.no_grad()
+    def scale_logits(self, factor: float) -> None:
+        """Make predictions less sure (a factor below 1), the best staying the best: temperature scaling (Guo et al. 2017)."""
+        for layer in self.head.modules():
+            if isinstance(layer, Logits):
+                for parameter in layer.parameters():
+                    parameter.mul_(factor)
+
     def autocast(self) -> torch.autocast:
         """Computes in the precision that was chosen."""
         return torch.autocast(self.normalization.mean.device.type, torch.bfloat16, enabled=self._precision == "bf16")

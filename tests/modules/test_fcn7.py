@@ -4,6 +4,7 @@ import pytest
 import torch
 from see2act.modules.batchnorm import batchnorms, estimate, freeze
 from see2act.modules.fcn7 import FCN7
+from see2act.modules.rpn import RPN
 
 
 @pytest.fixture
@@ -123,6 +124,15 @@ def test_the_fast_way_gives_the_same_logits(network: FCN7, precision: str) -> No
     assert fast.dtype == torch.float32
     tolerance = {"fp32": 1e-5, "bf16": 0.02}[precision]
     assert (fast - plain).std() < tolerance * plain.std()
+
+
+@pytest.mark.parametrize("model", [FCN7(4), RPN("resnet18")])
+def test_scaled_logits_are_less_sure_of_the_same(model: FCN7 | RPN) -> None:
+    x = torch.randn(1, 4, 64, 64)
+    with torch.no_grad():
+        before = model.eval()(x)
+        model.scale_logits(0.25)
+        assert torch.allclose(model(x), 0.25 * before, atol=1e-6)
 
 
 def test_large_logits_stay_apart_in_bfloat16(network: FCN7) -> None:
