@@ -90,6 +90,7 @@ class PretrainConfig:
     lr: float = MISSING
     weight_decay: float = MISSING
     validation: float = MISSING
+    test_scenes: int = MISSING
     seed: int = MISSING
 
 
@@ -277,7 +278,14 @@ def validate(cfg: DictConfig) -> None:
     _choice("evaluate.scenes", cfg.evaluate.scenes, ("evaluate", "develop"))
     _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
     _at_least("finetune.attempts", cfg.finetune.attempts, 0)
-    for key in ("collect.interactions", "collect.per_scene", "collect.workers", "pretrain.epochs", "pretrain.batch_size"):
+    for key in (
+        "collect.interactions",
+        "collect.per_scene",
+        "collect.workers",
+        "pretrain.epochs",
+        "pretrain.batch_size",
+        "pretrain.test_scenes",
+    ):
         _at_least(key, OmegaConf.select(cfg, key), 1)
     _at_least("threads", cfg.threads, 1)
     for key in ("finetune.updates", "finetune.batch_size", "finetune.episode_attempts", "evaluate.runs"):

@@ -26,6 +26,7 @@ from see2act.statistics import wilson
 
 if TYPE_CHECKING:
     from see2act.modules.affordance import AffordanceModule
+    from see2act.modules.network import PixelNetwork
 
 TALLEST = 0.12
 """Metres at the bright end of the height pictures."""
@@ -73,6 +74,23 @@ def labels(collection: Collection, task: Task, means: Means, name: str, count: i
     captions = {m: f"{name} by {m}" + (" (used)" if m == means else "") for m in ("truth", "vision")}
     for axis, caption in zip(grid[0], ("colour", "height", *captions.values()), strict=True):
         axis.set_title(caption, fontsize=9)
+    _save(figure, path)
+
+
+def vision(held_out: Collection, task: Task, means: Means, network: PixelNetwork, count: int, title: str, path: Path) -> None:
+    """Held-out observations, their labels, and what the vision model makes of them."""
+    figure, grid = plt.subplots(count, 4, figsize=(11, 2.9 * count), squeeze=False)
+    chosen = np.linspace(0, len(held_out) - 1, count).astype(int)
+    scores = network.scores(held_out.arrays["color"][chosen], held_out.arrays["height"][chosen])
+    for axes, i, score in zip(grid, chosen, scores, strict=True):
+        view = held_out.view(int(i))
+        axes[0].imshow(view.sensed.color)
+        axes[1].imshow(view.sensed.height, cmap="gray", vmin=0, vmax=TALLEST)
+        _overlay(axes[2], view.sensed, task.label(view, means))
+        axes[3].imshow(score, cmap="inferno", vmin=0, vmax=1)
+    for axis, caption in zip(grid[0], ("colour", "height", f"label by {means}", "predicted"), strict=True):
+        axis.set_title(caption, fontsize=9)
+    figure.suptitle(title, fontsize=10)
     _save(figure, path)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
+import numpy as np
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -34,6 +35,7 @@ from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, curve, versions
 from see2act.seeding import generator, seed_for
+from see2act.statistics import average_precision
 from torch import Tensor
 
 log = logging.getLogger("see2act")
@@ -88,22 +90,12 @@ class Run:
 
     def collect(self) -> Collection:
         """Observations of random interaction, from the cache or made now."""
-        cfg = self.cfg
-        path = self.cache / "collections" / f"{self._collection_key()}.npz"
+        collect = self.cfg.collect
+        return self._collection(collect.interactions, collect.per_scene, collect.seed)
 
-        def make() -> None:
-            collect(
-                build.robot_factory(cfg, cfg.collect.primitive),
-                cfg.collect.interactions,
-                cfg.collect.per_scene,
-                cfg.objects.kinds * cfg.objects.copies,
-                cfg.collect.seed,
-                cfg.collect.workers,
-            ).save(path)
-
-        made = once(path, make)
-        log.info("collect: %d observations %s %s", cfg.collect.interactions, "written to" if made else "from", path)
-        return Collection.load(path)
+    def held_out(self) -> Collection:
+        """Observations of other scenes, one each, by which vision models are judged."""
+        return self._collection(self.cfg.pretrain.test_scenes, 1, seed_for("held out", self.cfg.collect.seed))
 
     def pretrain(self, collection: Collection) -> dict[str, Any] | None:
         """The vision model's checkpoint: given, from the cache or trained now; None for ``task=none``."""
@@ -112,14 +104,19 @@ class Run:
             return self._keep_vision({"network": self._given(*channel_statistics(collection))})
         if cfg.task.label is None:
             return None
-        keys = {"collection": self._collection_key(), **_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
+        keys: dict[str, Any] = {
+            "collection": self._collection_key(cfg.collect.interactions, cfg.collect.per_scene, cfg.collect.seed)
+        }
+        keys |= {**_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
         keys |= {"trainer": relevant_trainer(cfg), "precision": cfg.precision}
         keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py", "pipeline.py", "seeding.py")
         path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
         checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
-        log.info("pretrain: %.1f %% of the pixels are positive", 100 * checkpoint["positive_share"])
+        quality = {key: checkpoint[key] for key in ("positive_share", "val_loss", "average_precision")}
+        log.info("pretrain: average precision %.2f on held-out scenes", quality["average_precision"])
+        self.progress.set("vision", quality)
         return self._keep_vision(checkpoint)
 
     def transfer(self, collection: Collection, vision: dict[str, Any] | None) -> tuple[AffordanceModule, TransferReport]:
@@ -172,6 +169,12 @@ class Run:
         figures.learning_curve(self.folder / "attempts.csv", out / "learning_curve.png", self._title())
         if cfg.task.label is not None:
             figures.labels(collection, build.task(cfg), cfg.labels, cfg.task.name, cfg.figures.scenes, out / "labels.png")
+        if quality := self.progress.get("vision"):
+            assert vision is not None
+            network = self._network(0)
+            network.load_state_dict(vision["network"])
+            title = f"{cfg.task.name}, average precision {quality['average_precision']:.2f} on held-out scenes"
+            figures.vision(self.held_out(), build.task(cfg), cfg.labels, network, cfg.figures.scenes, title, out / "vision.png")
         models = {"before fine-tuning": before, "after fine-tuning": module}
         if vision:
             seeing = copy.deepcopy(before)
@@ -223,9 +226,17 @@ class Run:
             "network": network.state_dict(),
             "positive_share": data.positive_share,
             "val_loss": float(trainer.callback_metrics["vision/val_loss"]),
+            "average_precision": self._average_precision(module),
         }
         with replacing(path) as partial:
             torch.save(checkpoint, partial)
+
+    def _average_precision(self, module: VisionModule) -> float:
+        """Of the trained vision model on scenes it was not trained on."""
+        task, held_out = build.task(self.cfg), self.held_out()
+        labels = np.stack([task.label(held_out.view(i), self.cfg.labels) for i in range(len(held_out))])
+        scores = module.network.scores(held_out.arrays["color"], held_out.arrays["height"])
+        return average_precision(scores, labels, task.tolerance)
 
     def _fit(self, module: AffordanceModule, resume: Path | None, steps: list[int]) -> None:
         cfg = self.cfg
@@ -341,11 +352,24 @@ class Run:
             # Lightning ends a fit quietly on SIGTERM; what follows must not take it for finished.
             raise KeyboardInterrupt
 
-    def _collection_key(self) -> str:
-        keys = _plain(self.cfg, "collect", "robot", "workspace", "camera", "objects")
-        keys["collect"].pop("workers")
+    def _collection(self, interactions: int, per_scene: int, seed: int) -> Collection:
+        cfg = self.cfg
+        path = self.cache / "collections" / f"{self._collection_key(interactions, per_scene, seed)}.npz"
+
+        def make() -> None:
+            factory = build.robot_factory(cfg, cfg.collect.primitive)
+            most = cfg.objects.kinds * cfg.objects.copies
+            collect(factory, interactions, per_scene, most, seed, cfg.collect.workers).save(path)
+
+        made = once(path, make)
+        log.info("collect: %d observations %s %s", interactions, "written to" if made else "from", path)
+        return Collection.load(path)
+
+    def _collection_key(self, interactions: int, per_scene: int, seed: int) -> str:
+        keys = _plain(self.cfg, "robot", "workspace", "camera", "objects")
         keys["robot"].pop("video", None)
-        keys["collect"]["primitive"] = keys["collect"]["primitive"]["end_effector"]
+        keys["collect"] = {"interactions": interactions, "per_scene": per_scene, "seed": seed}
+        keys["collect"]["primitive"] = _plain(self.cfg.collect.primitive, "end_effector")
         keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")
         keys["versions"] = versions()
         return content_hash(keys)
@@ -375,6 +399,7 @@ class Run:
             "config_hash": config_hash(cfg),
             "versions": versions(),
             "seconds": done["seconds"],
+            "vision": done.get("vision"),
             "zero_shot": done["eval_0"],
             "eval": final if self.attempts else {**final, "repeated": True},
             "eval_argmax": done["eval_argmax"],

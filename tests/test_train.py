@@ -16,10 +16,17 @@ from torchvision.models.detection import fasterrcnn_resnet50_fpn
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 TINY = (
-    *("collect.interactions=10", "pretrain.epochs=1", "pretrain.batch_size=4", "finetune.updates=2", "finetune.batch_size=4"),
+    *(
+        "collect.interactions=10",
+        "pretrain.epochs=1",
+        "pretrain.batch_size=4",
+        "pretrain.test_scenes=2",
+        "finetune.updates=2",
+        "finetune.batch_size=4",
+    ),
     *("evaluate.attempts.seen=2", "evaluate.attempts.unseen=2", "figures.scenes=1"),
 )
-PICTURES = {"learning_curve.png", "labels.png", "heatmaps.png", "picks.png"}
+PICTURES = {"learning_curve.png", "labels.png", "vision.png", "heatmaps.png", "picks.png"}
 
 pytestmark = pytest.mark.slow
 
@@ -68,6 +75,8 @@ def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
     result = json.loads((folder / "result.json").read_text())
     assert result["choices"]["task"] == "foreground"
     assert set(result["seconds"]) >= {"collect", "pretrain", "transfer", "finetune"}
+    assert set(result["vision"]) == {"positive_share", "val_loss", "average_precision"}
+    assert 0 < result["vision"]["average_precision"] <= 1
     for name in ("zero_shot", "eval", "eval_argmax"):
         for split in ("seen", "unseen"):
             part = result[name][split]

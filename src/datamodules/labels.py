@@ -36,6 +36,9 @@ class Task(ABC):
         pixel: Metres a pixel.
     """
 
+    tolerance = 0
+    """Pixels by which a prediction may miss the place of a label and still count as right."""
+
     def __init__(self, pixel: float):
         self.pixel = pixel
 
@@ -65,6 +68,8 @@ class Edge(Task):
         blur: Standard deviation of the Gaussian before it, pixels.
     """
 
+    tolerance = 2
+
     def __init__(self, pixel: float, low: float, high: float, blur: float):
         super().__init__(pixel)
         self._low, self._high, self._blur = low, high, blur
@@ -90,6 +95,8 @@ class Corner(Task):
         threshold: Share of the image's strongest response that still counts.
         radius: Metres of the disc around each corner.
     """
+
+    tolerance = 2
 
     def __init__(self, pixel: float, window: float, k: float, threshold: float, radius: float):
         super().__init__(pixel)
@@ -145,6 +152,8 @@ class Center(Task):
         smallest: Square metres below which a piece is no object.
         foreground: How ``vision`` finds the pieces.
     """
+
+    tolerance = 2
 
     def __init__(self, pixel: float, radius: float, smallest: float, foreground: Foreground):
         super().__init__(pixel)

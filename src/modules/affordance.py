@@ -8,12 +8,9 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, UInt8
 from see2act.modules.batchnorm import freeze
-from see2act.modules.network import PixelNetwork
+from see2act.modules.network import TOGETHER, PixelNetwork
 from see2act.modules.rotation import Rotations
 from torch import Tensor
-
-TOGETHER = 4
-"""Rotations that go through the network at once: more of them no longer fit a processor's cache."""
 
 
 class AffordanceModule(L.LightningModule):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
 PRECISIONS = ("fp32", "bf16")
+TOGETHER = 4
+"""Heightmaps that go through a network at once: more of them no longer fit a processor's cache."""
 
 
 class Normalization(nn.Module):
@@ -91,6 +94,16 @@ class PixelNetwork(nn.Module):
         with self.autocast():
             logits: Tensor = self.head(self.backbone(x.contiguous(memory_format=self._layout)))
         return logits.float()
+
+    @torch.no_grad()
+    def scores(self, color: UInt8[np.ndarray, "n H W 3"], height: Float[np.ndarray, "n H W"]) -> Float[np.ndarray, "n H W"]:
+        """Probabilities for every pixel of many heightmaps, with fixed statistics."""
+        training = self.training
+        self.eval()
+        parts = zip(torch.from_numpy(color).split(TOGETHER), torch.from_numpy(height).split(TOGETHER), strict=True)
+        maps = [torch.sigmoid(self(self.prepare(*part)))[:, 0] for part in parts]
+        self.train(training)
+        return torch.cat(maps).numpy()
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
         """The logit of one pixel of each input."""

@@ -7,7 +7,7 @@ import torch
 
 from benchmarks import agreement
 
-TINY = ["collect.interactions=12", "pretrain.epochs=1", "pretrain.batch_size=4", "model.width=4"]
+TINY = ["collect.interactions=12", "pretrain.epochs=1", "pretrain.batch_size=4", "pretrain.test_scenes=2", "model.width=4"]
 
 
 def test_a_difference_of_more_than_three_points_is_told() -> None:

@@ -10,7 +10,14 @@ import torch
 from benchmarks import common, loop, stages, sweep
 
 pytestmark = pytest.mark.slow
-TINY = ["collect.interactions=12", "pretrain.epochs=1", "pretrain.batch_size=4", "model.width=4", "precision=fp32"]
+TINY = [
+    "collect.interactions=12",
+    "pretrain.epochs=1",
+    "pretrain.batch_size=4",
+    "pretrain.test_scenes=2",
+    "model.width=4",
+    "precision=fp32",
+]
 
 
 @pytest.fixture(autouse=True)
