@@ -15,7 +15,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.utils import get_object
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-LOCAL = ("hydra", "paths", "logger", "seed", "force", "figures", "threads")
+LOCAL = ("hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
 LOCAL_TRAINER = ("accelerator", "devices", "logger", "log_every_n_steps", "num_sanity_val_steps")
 """The same of the trainer's keys, with everything that starts with ``enable_``."""
@@ -70,6 +70,8 @@ class PrimitiveConfig:
     end_effector: dict[str, Any] = field(default_factory=dict)
     attempts: int = MISSING
     """Fine-tuning attempts of the main job."""
+    benchmark_attempts: int = MISSING
+    """Of a run of the benchmark."""
     evaluate_at: list[int] = field(default_factory=list)
 
 
@@ -157,6 +159,8 @@ class Config:
     policy: dict[str, Any] = field(default_factory=dict)
     trainer: dict[str, Any] = field(default_factory=dict)
     logger: dict[str, Any] = field(default_factory=dict)
+    cells: list[str] = field(default_factory=list)
+    """primitive/task/transfer of the cells of a sweep that an experiment consists of; empty: all that make sense."""
     labels: str = "truth"
     seed: int = 0
     precision: str = MISSING

@@ -136,9 +136,14 @@ def _hydra_main(cfg: DictConfig) -> float | None:
     """One job: a run, or in a sweep the notice that a cell makes no sense."""
     sweep = HydraConfig.get().mode == RunMode.MULTIRUN
     folder = Path(HydraConfig.get().runtime.output_dir)
-    if sweep and (reason := illegal_cell(cfg)):
-        (folder / SKIPPED).write_text(f"{cfg.primitive.name}: {reason}")
+    if sweep and cfg.cells and f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}" not in cfg.cells:
         return None
+    if sweep and (reason := illegal_cell(cfg)):
+        if not cfg.cells:  # of an experiment that names its cells nobody misses the others
+            (folder / SKIPPED).write_text(f"{cfg.primitive.name}: {reason}")
+        return None
+    if sweep and (twin := _finished_elsewhere(folder)):
+        _link(twin, folder)
     try:
         validate(cfg)
         _check_parts(cfg)
@@ -147,6 +152,23 @@ def _hydra_main(cfg: DictConfig) -> float | None:
         if sweep:
             raise  # one job that fails must not end the others
         sys.exit(f"see2act: {error}")
+
+
+def _finished_elsewhere(folder: Path) -> Path | None:
+    """The same run, finished in another experiment's sweep; None where there is none or this folder has begun its own."""
+    if any((folder / name).exists() for name in ("run.json", "result.json")):
+        return None
+    sweep = Path(HydraConfig.get().sweep.dir).absolute()
+    others = sweep.parent.glob(f"*/{folder.absolute().relative_to(sweep)}/result.json")
+    return next((result.parent for result in sorted(others) if not result.is_symlink()), None)
+
+
+def _link(twin: Path, folder: Path) -> None:
+    """Make everything a finished run left appear in ``folder`` too."""
+    for path in sorted(twin.iterdir(), key=lambda path: path.name == "result.json"):  # which means done, so it comes last
+        if not path.name.startswith(".") and not (folder / path.name).exists():
+            (folder / path.name).symlink_to(os.path.relpath(path, folder))
+    log.info("the same run is finished in %s: linked, not run again", twin)
 
 
 def identity(cfg: DictConfig) -> dict[str, Any]:

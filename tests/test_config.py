@@ -189,3 +189,19 @@ def test_hydra_s_launchers_compose(launcher: str, jobs: int | None) -> None:
         cfg = compose("train", [f"hydra/launcher={launcher}"], return_hydra_config=True)
     assert default.hydra.launcher.n_jobs == -1
     assert cfg.hydra.launcher.get("n_jobs") == jobs
+
+
+def test_experiments_share_the_runs_they_have_in_common(config: Callable[..., DictConfig]) -> None:
+    cell = ("primitive=grasp", "task=foreground", "transfer=full")
+    runs = [config(f"experiment={name}", *cell) for name in ("transfer_parts", "vision_tasks")]
+    assert config_hash(runs[0]) == config_hash(runs[1])
+    assert "grasp/foreground/full" in runs[0].cells
+    assert (runs[0].finetune.attempts, runs[0].collect.interactions, runs[0].evaluate.runs) == (400, 1000, 3)
+
+
+@pytest.mark.parametrize("experiment", ["transfer_parts", "vision_tasks", "off_the_shelf", "smoke"])
+def test_cells_of_experiments_make_sense(config: Callable[..., DictConfig], experiment: str) -> None:
+    cfg = config(f"experiment={experiment}")
+    for cell in cfg.cells:
+        primitive, task, transfer = cell.split("/")
+        validate(config(f"experiment={experiment}", f"primitive={primitive}", f"task={task}", f"transfer={transfer}"))

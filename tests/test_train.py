@@ -236,3 +236,11 @@ def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> 
     assert done.returncode == 0, done.stderr[-3000:]
     assert len(list(tmp_path.glob("sweep/**/result.json"))) == 2
     assert "2 combinations were skipped" in done.stdout.splitlines()[-3]
+    again = [*command, "finetune.attempts=0", f"hydra.sweep.dir={tmp_path}/other", "cells=[suction/normal/fixed]"]
+    done = subprocess.run(again, capture_output=True, text=True, timeout=500, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "were skipped" not in done.stdout
+    linked = list(tmp_path.glob("other/**/result.json"))
+    assert [path.is_symlink() for path in linked] == [True]
+    assert json.loads(linked[0].read_text())["choices"]["task"] == "normal"
+    assert (linked[0].parent / "figures" / "heatmaps.png").exists()
