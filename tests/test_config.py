@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_module
+from omegaconf import DictConfig
 from see2act.config import ConfigError, config_hash, illegal_cell, validate
 from see2act.main import _check, _move_aside, identity, refuse_foreign
 
