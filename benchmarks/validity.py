@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--attempts", type=at_least_one, default=200, metavar="N", help="at least so many a row (default 200)")
     parser.add_argument("--scenes", choices=("evaluate", "develop"), default="evaluate")
     parser.add_argument("--policies", nargs="+", choices=POLICIES, default=POLICIES)
-    parser.add_argument("--primitives", nargs="+", choices=PRIMITIVES, default=PRIMITIVES)
+    parser.add_argument("--primitives", nargs="+", choices=(*PRIMITIVES, "grasp_rg2"), default=PRIMITIVES)
     args = parser.parse_args()
     jobs = [
         (args.overrides, primitive, split, policy, args.scenes, args.attempts)
