@@ -60,6 +60,11 @@ class Arm:
         return [run.seed for run in self.runs]
 
     @property
+    def learned(self) -> bool:
+        """Whether it was fine-tuned at all."""
+        return not self.runs[0].result["eval"].get("repeated")
+
+    @property
     def cell(self) -> str:
         """Source and transfer."""
         return "none (random)" if self.task == "none" else f"{self.task}, {self.transfer}"

@@ -51,8 +51,11 @@ def rows(found: Found) -> list[Row]:
     """A row for every arm in the paper's order, and for every arm of the paper that is missing."""
     present = [_row(bench, arm) for bench in found.benches for arm in bench.arms]
     lines = [dict.fromkeys(COLUMNS, "") | row for row in [*present, *_missing(found)]]
-    primitives = list(dict.fromkeys([*paper.PRIMITIVES, *(row["primitive"] for row in lines)]))
-    return sorted(lines, key=lambda row: primitives.index(row["primitive"]))
+    orders = [
+        (name, list(dict.fromkeys([*order, *sorted(row[name] for row in lines)])))
+        for name, order in (("primitive", paper.PRIMITIVES), ("task", paper.TASKS), ("transfer", paper.TRANSFERS))
+    ]
+    return sorted(lines, key=lambda row: [order.index(row[name]) for name, order in orders])
 
 
 def _row(bench: Bench, arm: Arm) -> Row:
@@ -66,7 +69,7 @@ def _row(bench: Bench, arm: Arm) -> Row:
     scores = scores_of(arm)
     interval = interquartile_interval([scores]) if len(arm.runs) >= ENOUGH else (None, None)
     row |= dict(zip(IQM, map(_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))
-    return row | {"note": "never fine-tuned" if arm.runs[0].result["eval"].get("repeated") else ""}
+    return row | {"note": "" if arm.learned else "never fine-tuned"}
 
 
 def _measured(arm: Arm, measure: str) -> Row:
@@ -90,7 +93,8 @@ def _text(number: float | int | None) -> str:
 
 def published_for(bench: Bench, arm: Arm) -> float | None:
     """The paper's success on unseen objects, where its simulation is what this bench imitates."""
-    if bench.setting["model"] != "fcn7" or bench.setting["objects"] != "diverse" or arm.transfer not in ("none", "full"):
+    alike = bench.setting["model"] == "fcn7" and bench.setting["objects"] == "diverse"
+    if not alike or not arm.learned or arm.transfer not in ("none", "full"):
         return None
     return paper.UNSEEN.get(bench.primitive, {}).get(arm.task)
 

@@ -256,7 +256,12 @@ def test_every_arm_of_the_paper_has_a_row(
 ) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
     make_run()
+    make_run(config_hash="bbbbbbbbbbbb", learned=[])
     report(runs)
+    tasks = [row["task"] for row in _table(runs) if (row["primitive"], row["model"]) == ("suction", "fcn7")]
+    assert tasks == ["none", "normal", "normal", "center", "corner", "edge", "foreground"]
+    published = {row["config_hash"]: row["paper_unseen"] for row in _table(runs) if row["config_hash"]}
+    assert published == {"aaaaaaaaaaaa": "1.00", "bbbbbbbbbbbb": ""}  # which never learned
     assert _row(runs, "center", "full")["note"] == "no runs"
     assert _row(runs, "center", "full")["paper_unseen"] == "0.83"
     assert _row(runs, "none", "none", "grasp")["paper_unseen"] == "0.71"
