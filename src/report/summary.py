@@ -180,7 +180,7 @@ class Aggregate:
     """The interquartile mean of several arms together."""
 
     transfer: str
-    arms: int
+    sources: str
     mean: str
     low: str
     high: str
@@ -188,14 +188,17 @@ class Aggregate:
 
 def aggregates(bench: Bench) -> list[Aggregate]:
     """Every kind of transfer over its sources, on unseen objects; none where a source has several configurations."""
+    kinds = {
+        kind: [arm for arm in bench.arms if arm.transfer == kind] for kind in dict.fromkeys(a.transfer for a in bench.arms)
+    }
+    if not all(arm.alone for arm in bench.arms) or max(map(len, kinds.values())) < 2:
+        return []
     together = []
-    for transfer in dict.fromkeys(arm.transfer for arm in bench.arms):
-        arms = [arm for arm in bench.arms if arm.transfer == transfer]
-        if len(arms) > 1 and all(arm.alone for arm in arms):
-            strata = [scores_of(arm) for arm in arms]
-            mean = float(interquartile_mean(np.concatenate([s.ravel() for s in strata])))
-            interval = interquartile_interval(strata) if min(map(len, strata)) >= ENOUGH else (None, None)
-            together.append(Aggregate(transfer, len(arms), *map(_text, (mean, *interval))))
+    for kind, arms in kinds.items():
+        strata = [scores_of(arm) for arm in arms]
+        mean = float(interquartile_mean(np.concatenate([scores.ravel() for scores in strata])))
+        interval = interquartile_interval(strata) if min(map(len, strata)) >= ENOUGH else (None, None)
+        together.append(Aggregate(kind, ", ".join(arm.task for arm in arms), *map(_text, (mean, *interval))))
     return together
 
 

@@ -55,7 +55,8 @@ def test_arms_are_compared_with_the_baseline_and_within_their_source(make_run: M
     assert found["normal, backbone", "none (random)"].probability == "0.500"
     assert found["normal, backbone", "normal, full"].verdict == "worse"
     together = aggregates(bench)
-    assert [(a.transfer, a.arms, a.mean) for a in together] == [("full", 2, "0.725")]  # of six times 0.7 and two 0.8
+    assert [(a.transfer, a.sources) for a in together] == [("none", "none"), ("full", "normal, edge"), ("backbone", "normal")]
+    assert [a.mean for a in together] == ["0.150", "0.725", "0.150"]  # 0.725: of six times 0.7 and two 0.8
 
 
 def test_sources_with_several_configurations_are_not_put_together(make_run: MakeRun, tmp_path: Path) -> None:
