@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from see2act.attempt import Attempt
 from see2act.files import replacing
+
+if TYPE_CHECKING:
+    from see2act.attempt import Attempt  # brings the whole robot, which readers of the file do not need
 
 COLUMNS = (
     *("phase", "split", "policy", "run", "step", "episode", "scene_seed", "primitive"),

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import norm
+from scipy.stats import norm, t
+from see2act.seeding import generator
+
+RESAMPLES = 2000
+"""Of a bootstrap: its 95 % limits are then good to about a hundredth of the distribution."""
 
 
 def wilson(successes: int, attempts: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -33,6 +38,51 @@ def difference_interval(successes: int, attempts: int, others: int, their_attemp
     a, b = (n / max(1, of) for n, of in ((successes, attempts), (others, their_attempts)))
     (low_a, high_a), (low_b, high_b) = wilson(successes, attempts), wilson(others, their_attempts)
     return a - b - math.hypot(a - low_a, high_b - b), a - b + math.hypot(high_a - a, b - low_b)
+
+
+def mean_interval(rates: Sequence[float]) -> tuple[float, float] | None:
+    """95 % t interval of the mean of independent rates, cut to [0, 1]; None for fewer than two, which have no spread."""
+    if len(rates) < 2:
+        return None
+    mean, spread = float(np.mean(rates)), float(np.std(rates, ddof=1))
+    half = float(t.ppf(0.975, len(rates) - 1)) * spread / math.sqrt(len(rates))
+    return max(0.0, mean - half), min(1.0, mean + half)
+
+
+def interquartile_mean(scores: Float[np.ndarray, "*samples n"]) -> Float[np.ndarray, "*samples"]:
+    """Mean of the middle half along the last axis: a quarter of the values, rounded down, is cut off at each end."""
+    cut = scores.shape[-1] // 4
+    middle: np.ndarray = np.sort(scores, axis=-1)[..., cut : scores.shape[-1] - cut].mean(axis=-1)
+    return middle
+
+
+def interquartile_interval(strata: Sequence[Float[np.ndarray, "seeds scores"]]) -> tuple[float, float]:
+    """95 % stratified bootstrap interval of the interquartile mean of all scores together.
+
+    Seeds are drawn anew within each stratum, each with all of its scores, which are not independent.
+    """
+    rng = generator("bootstrap/interquartile mean")
+    drawn = [s[rng.integers(len(s), size=(RESAMPLES, len(s)))].reshape(RESAMPLES, -1) for s in strata]
+    return _middle_95(interquartile_mean(np.concatenate(drawn, axis=1)))
+
+
+def improvement(a: Float[np.ndarray, "*samples n"], b: Float[np.ndarray, "*samples m"]) -> Float[np.ndarray, "*samples"]:
+    """Probability of improvement, P(A > B), over all pairs of a seed of ``a`` and one of ``b``; a tie counts half."""
+    left, right = a[..., :, None], b[..., None, :]
+    share: np.ndarray = ((left > right) + 0.5 * (left == right)).mean(axis=(-2, -1))
+    return share
+
+
+def improvement_interval(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"]) -> tuple[float, float]:
+    """95 % bootstrap interval of :func:`improvement`: the seeds of each are drawn anew."""
+    rng = generator("bootstrap/improvement")
+    drawn = [x[rng.integers(len(x), size=(RESAMPLES, len(x)))] for x in (a, b)]
+    return _middle_95(improvement(*drawn))
+
+
+def _middle_95(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    low, high = np.percentile(values, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def average_precision(scores: Float[np.ndarray, "n H W"], labels: Bool[np.ndarray, "n H W"], tolerance: int = 0) -> float:

@@ -12,6 +12,7 @@ BANNED = {
     "robot": ("torch", "lightning", "see2act.modules", "see2act.datamodules", "time", "datetime", "random"),
     "modules": ("pybullet", "see2act.robot", "see2act.datamodules"),
     "datamodules": ("see2act.pipeline",),
+    "report": ("torch", "lightning", "pybullet", "see2act.modules", "see2act.datamodules", "see2act.pipeline"),
 }
 
 

@@ -1,7 +1,17 @@
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.stats import binomtest
-from see2act.statistics import average_precision, difference_interval, wilson
+from see2act.statistics import (
+    average_precision,
+    difference_interval,
+    improvement,
+    improvement_interval,
+    interquartile_interval,
+    interquartile_mean,
+    mean_interval,
+    wilson,
+)
 
 
 @pytest.mark.parametrize(("successes", "attempts"), [(0, 25), (7, 25), (25, 25), (312, 400)])
@@ -46,3 +56,45 @@ def test_average_precision_forgives_small_shifts() -> None:
 def test_average_precision_without_labels_is_refused() -> None:
     with pytest.raises(ValueError, match="at least one label"):
         average_precision(np.zeros((1, 4, 4), np.float32), np.zeros((1, 4, 4), bool))
+
+
+def test_the_interval_of_a_mean_is_scipy_s_cut_to_what_a_rate_can_be() -> None:
+    rates = [0.4, 0.55, 0.5, 0.6, 0.45]
+    expected = stats.t.interval(0.95, 4, loc=np.mean(rates), scale=stats.sem(rates))
+    assert mean_interval(rates) == pytest.approx(expected)
+    assert mean_interval([0.9, 1.0]) == pytest.approx((0.95 - 12.7062 * 0.05, 1.0), abs=1e-4)
+    assert mean_interval([0.7]) is None
+
+
+def test_the_interquartile_mean_is_that_of_the_middle_half() -> None:
+    assert interquartile_mean(np.array([1.0, 0.0, 0.2, 0.1, 0.3, 0.6, 0.4, 0.5])) == pytest.approx(0.35)
+    scores = np.random.default_rng(0).random((3, 11))
+    assert interquartile_mean(scores) == pytest.approx(stats.trim_mean(scores, 0.25, axis=1))
+
+
+def test_the_bootstrap_of_one_stratum_agrees_with_scipy_s() -> None:
+    scores = np.random.default_rng(1).random(12)
+    theirs = stats.bootstrap(
+        (scores,), lambda x, axis: stats.trim_mean(x, 0.25, axis=axis), method="percentile", rng=np.random.default_rng(2)
+    ).confidence_interval
+    low, high = interquartile_interval([scores[:, None]])
+    assert (low, high) == pytest.approx((theirs.low, theirs.high), abs=0.02)
+    assert interquartile_interval([scores[:, None]]) == (low, high)
+
+
+def test_seeds_are_drawn_within_their_stratum_and_with_all_their_scores() -> None:
+    assert interquartile_interval([np.full((3, 2), 0.2), np.full((3, 2), 0.8)]) == pytest.approx((0.5, 0.5))
+    good_or_bad = np.array([[0.0, 0.0], [1.0, 1.0]])  # a seed is good in all scenes or in none
+    assert interquartile_interval([good_or_bad]) == (0.0, 1.0)
+
+
+def test_the_probability_of_improvement_counts_pairs() -> None:
+    a, b = np.array([0.1, 0.5, 0.9]), np.array([0.5, 0.2])
+    assert improvement(a, b) == pytest.approx((0 + 0 + 0.5 + 1 + 1 + 1) / 6)
+    assert improvement(b, a) == pytest.approx(1 - 3.5 / 6)
+    n, m = np.random.default_rng(3).normal(size=(2, 8))
+    assert improvement(n, m) == pytest.approx(stats.mannwhitneyu(n, m).statistic / 64)
+    low, high = improvement_interval(a, b)
+    assert 0 <= low <= improvement(a, b) <= high <= 1
+    assert improvement_interval(a, b) == (low, high)
+    assert improvement_interval(a, a - 1) == (1.0, 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -212,6 +213,18 @@ def test_heatmaps_of_several_models_side_by_side(run: tuple[Path, str], cache: P
     done = subprocess.run([*draw, *tasks, *wider], capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 1
     assert "does not fit model=fcn7" in done.stderr
+
+
+def test_a_report_reads_what_a_run_leaves(run: tuple[Path, str], tmp_path: Path) -> None:
+    shutil.copytree(run[0], tmp_path / "runs" / "seed0", ignore=shutil.ignore_patterns("checkpoints", "wandb"))
+    command = [sys.executable, str(TRAIN.with_name("report.py")), str(tmp_path / "runs")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+    with (tmp_path / "runs" / "table.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["config_hash"]]
+    assert [(row["task"], row["transfer"], row["after_seen_attempts"]) for row in rows] == [("foreground", "full", "2")]
+    assert not any(words in done.stdout for words in ("Left out", "cannot be read", "unknown"))
+    assert len(list((tmp_path / "runs" / "figures").glob("*.png"))) == 5  # there is nothing to compare with
 
 
 def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> None:

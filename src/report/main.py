@@ -1,0 +1,68 @@
+"""Tables and figures of all runs in a folder, with the paper's numbers beside ours.
+
+Writes report.html (one file, nothing else needed), table.csv, table.md and figures/ into the folder. What cannot be averaged
+is kept apart, and said: here, and at the top of the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from see2act.report.benches import Found, find
+
+HINT = "give a folder that holds runs of train.py, such as outputs or multirun/sweep"
+
+
+class ReportError(ValueError):
+    """There is nothing to report on; the message is one line and names the mend."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, metavar="DIR", help="searched for runs, with all folders in it")
+    args = parser.parse_args(arguments)
+    try:
+        found = report(args.folder)
+    except ReportError as error:
+        sys.exit(f"see2act: {error}")
+    except PermissionError as error:
+        sys.exit(
+            f"see2act: {error.filename} cannot be read or written: make it yours, or copy the runs to a folder of your own"
+        )
+    for notice in found.notices:
+        print(f"NOTE  {notice}")
+    for name in ("report.html", "table.csv", "table.md", "figures"):
+        print(args.folder / name)
+
+
+def report(folder: Path) -> Found:
+    """Write the report of all runs below ``folder`` into it.
+
+    Raises:
+        ReportError: There is no such folder, or no run in it.
+    """
+    if not folder.is_dir():
+        raise ReportError(f"{folder} is no folder: {HINT}")
+    found = find(folder)
+    if not (found.benches or found.unfinished or found.broken):
+        raise ReportError(f"{folder} holds no runs: {HINT}, or make one with `python train.py`")
+    from see2act.report import page, plots, summary  # matplotlib takes a second, which a refusal should not
+    from tqdm import tqdm
+
+    rows = summary.rows(found)
+    summary.write_csv(rows, folder / "table.csv")
+    summary.write_markdown(rows, folder / "table.md")
+    pictures: dict[str, list[plots.Picture]] = {}
+    with tqdm(total=len(found.benches) * len(plots.FIGURES), desc="draw", disable=None) as bar:
+        for bench in found.benches:
+            pictures[bench.slug] = []
+            for picture in plots.draw(bench, folder / "figures"):
+                pictures[bench.slug].append(picture)
+                bar.update()
+    plots.clear(folder / "figures", [picture for drawn in pictures.values() for picture in drawn])
+    page.write(found, rows, pictures, folder)
+    return found

@@ -1,0 +1,151 @@
+"""The report as one HTML file that needs nothing but itself."""
+
+from __future__ import annotations
+
+import base64
+import shlex
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import cv2
+from jinja2 import Environment, StrictUndefined
+from see2act.files import replacing
+from see2act.report import paper
+from see2act.report.benches import Arm, Bench, Found
+from see2act.report.plots import Picture
+from see2act.report.runs import SPLITS, Run
+from see2act.report.summary import Row, aggregates, comparisons
+
+GALLERY = {"heatmaps.png": "heatmaps of the models, before and after", "picks.png": "a pick on seen and on unseen objects"}
+"""Pictures of a run, and what they show."""
+OUTCOMES = {"zero_shot": "zero-shot", "eval": "after fine-tuning"}
+WIDEST = 1000
+"""Pixels of a picture in the gallery."""
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """One run of an arm, in pictures."""
+
+    arm: Arm
+    run: Run
+    pictures: list[dict[str, str]]
+    video: str | None
+    """From the report's folder."""
+    outcome: str
+
+
+def write(found: Found, rows: list[Row], pictures: dict[str, list[Picture]], folder: Path) -> Path:
+    """Make ``report.html`` in ``folder``.
+
+    Args:
+        found: What it is about.
+        rows: Of ``table.csv``.
+        pictures: By bench's slug.
+        folder: Which was searched.
+    """
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"data_uri": _data_uri, "command": command}
+    template = environment.from_string(resources.files("see2act.report").joinpath("page.html.j2").read_text())
+    page = template.render(
+        found=found,
+        title=folder.resolve().name,
+        rows=rows,
+        primitives=list(dict.fromkeys(row["primitive"] for row in rows)),
+        benches=[_bench(bench, pictures[bench.slug], folder) for bench in found.benches],
+        versions=_versions(found),
+        paper=paper,
+        hours=sum(map(seconds, found.runs)) / 3600,
+        seconds=seconds,
+    )
+    path = folder / "report.html"
+    with replacing(path) as partial:
+        partial.write_text(page, encoding="utf-8")
+    return path
+
+
+def _bench(bench: Bench, pictures: list[Picture], folder: Path) -> dict[str, Any]:
+    return {
+        "bench": bench,
+        "pictures": pictures,
+        "comparisons": [*comparisons(bench, "after_unseen"), *comparisons(bench, "learning")],
+        "aggregates": aggregates(bench),
+        "specimens": [_specimen(arm, folder) for arm in bench.arms],
+    }
+
+
+def _specimen(arm: Arm, folder: Path) -> Specimen:
+    """The run with the lowest seed that has pictures: nobody chose it for its looks."""
+    run = next((run for run in arm.runs if any((run.folder / "figures" / name).is_file() for name in GALLERY)), arm.runs[0])
+    pictures = []
+    for name, words in GALLERY.items():
+        if uri := _thumbnail(run.folder / "figures" / name):
+            pictures.append({"uri": uri, "alt": f"{arm.primitive}, {arm.name}, seed {run.seed}: {words}", "caption": words})
+    video = run.folder / "video.mp4"
+    return Specimen(arm, run, pictures, _link(video, folder) if video.is_file() else None, _outcome(run))
+
+
+def _outcome(run: Run) -> str:
+    """In words."""
+    told = []
+    phases = {"zero_shot": "zero-shot"} if run.result["eval"].get("repeated") else OUTCOMES
+    for phase, words in phases.items():
+        counts = (f"{'/'.join(map(str, run.counts(phase, split)))} {split}" for split in SPLITS)
+        told.append(f"{words} {', '.join(counts)}")
+    return "; ".join(told)
+
+
+def command(arm: Arm) -> str:
+    """What to type to run an arm again, with all of its seeds."""
+    typed = {_without_seed(run) for run in arm.runs}
+    if None in typed:
+        return "unknown: .hydra/overrides.yaml is missing"
+    if len(typed) > 1:  # they may differ in what leaves results as they are
+        lines = [_line([*(_without_seed(run) or ()), f"seed={run.seed}"]) for run in arm.runs]
+        return "\n".join(lines)
+    seeds = ",".join(map(str, arm.seeds))
+    return _line([*(["-m"] if len(arm.runs) > 1 else []), *(typed.pop() or ()), f"seed={seeds}"])
+
+
+def _without_seed(run: Run) -> tuple[str, ...] | None:
+    return None if run.overrides is None else tuple(o for o in run.overrides if not o.startswith(("seed=", "force=")))
+
+
+def _line(arguments: list[str]) -> str:
+    return " ".join(["python train.py", *map(shlex.quote, arguments)])
+
+
+def seconds(run: Run) -> float:
+    """Of wall time, all stages together."""
+    return float(sum(run.result["seconds"].values()))
+
+
+def _versions(found: Found) -> list[dict[str, Any]]:
+    """Every set of versions, with the runs it made."""
+    sets: dict[tuple[tuple[str, str], ...], int] = {}
+    for run in found.runs:
+        key = tuple((name, str(version)) for name, version in run.result["versions"].items())
+        sets[key] = sets.get(key, 0) + 1
+    return [{"versions": dict(key), "runs": count} for key, count in sets.items()]
+
+
+def _link(path: Path, folder: Path) -> str:
+    return quote(path.relative_to(folder).as_posix())
+
+
+def _data_uri(path: Path, kind: str = "image/png") -> str:
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def _thumbnail(path: Path) -> str | None:
+    """A picture made small enough to embed; None if there is none, or half of one."""
+    image = cv2.imread(str(path)) if path.is_file() else None
+    if image is None:
+        return None
+    scale = min(1.0, WIDEST / image.shape[1])
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 82])[1]
+    return f"data:image/jpeg;base64,{base64.b64encode(coded.tobytes()).decode()}"

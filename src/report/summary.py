@@ -1,0 +1,240 @@
+"""The numbers of a report: a row for every arm, and what may be concluded from two of them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from see2act.files import replacing
+from see2act.report import paper
+from see2act.report.benches import ENOUGH, Arm, Bench, Found
+from see2act.statistics import (
+    improvement,
+    improvement_interval,
+    interquartile_interval,
+    interquartile_mean,
+    mean_interval,
+    wilson,
+)
+
+MEASURES = {
+    "after_unseen": ("eval", "unseen"),
+    "after_seen": ("eval", "seen"),
+    "zero_shot_unseen": ("zero_shot", "unseen"),
+    "zero_shot_seen": ("zero_shot", "seen"),
+    "argmax_unseen": ("eval_argmax", "unseen"),
+    "argmax_seen": ("eval_argmax", "seen"),
+}
+"""Column to where ``result.json`` has it."""
+LEARNING = "learning"
+"""The measure of exploring attempts while fine-tuning."""
+PARTS = ("mean", "low", "high", "successes", "attempts", "wilson_low", "wilson_high")
+IQM = ("after_unseen_iqm", "after_unseen_iqm_low", "after_unseen_iqm_high")
+COLUMNS = (
+    *("primitive", "setting", "task", "transfer", "model", "config_hash", "differs", "seeds", "paper_unseen"),
+    *(f"{measure}_{part}" for measure in (*MEASURES, LEARNING) for part in PARTS),
+    *(*IQM, "note"),
+)
+Row = dict[str, str]
+"""Column to text, exactly as it is shown; empty where there is no number."""
+
+
+def rates(arm: Arm, measure: str) -> list[float]:
+    """Success rate of each seed; empty where an arm has none."""
+    return [successes / attempts for successes, attempts in _counts(arm, measure) if attempts]
+
+
+def rows(found: Found) -> list[Row]:
+    """A row for every arm in the paper's order, and for every arm of the paper that is missing."""
+    present = [_row(bench, arm) for bench in found.benches for arm in bench.arms]
+    lines = [dict.fromkeys(COLUMNS, "") | row for row in [*present, *_missing(found)]]
+    orders = [
+        (name, list(dict.fromkeys([*order, *sorted(row[name] for row in lines)])))
+        for name, order in (("primitive", paper.PRIMITIVES), ("task", paper.TASKS), ("transfer", paper.TRANSFERS))
+    ]
+    return sorted(lines, key=lambda row: [order.index(row[name]) for name, order in orders])
+
+
+def _row(bench: Bench, arm: Arm) -> Row:
+    row = {
+        **{"primitive": bench.primitive, "setting": str(bench.number or ""), "task": arm.task, "transfer": arm.transfer},
+        **{"model": bench.setting["model"], "config_hash": arm.hash, "differs": arm.differs},
+        **{"seeds": " ".join(map(str, arm.seeds)), "paper_unseen": _rounded(published_for(bench, arm))},
+    }
+    for measure in (*MEASURES, LEARNING):
+        row |= {f"{measure}_{part}": text for part, text in _measured(arm, measure).items()}
+    scores = scores_of(arm)
+    interval = interquartile_interval([scores]) if len(arm.runs) >= ENOUGH else (None, None)
+    row |= dict(zip(IQM, map(_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))
+    return row | {"note": "" if arm.learned else "never fine-tuned"}
+
+
+def _measured(arm: Arm, measure: str) -> Row:
+    each = rates(arm, measure)
+    if not each:
+        return {}
+    successes, attempts = (sum(column) for column in zip(*_counts(arm, measure), strict=True))
+    numbers = (float(np.mean(each)), *(mean_interval(each) or (None, None)), successes, attempts, *wilson(successes, attempts))
+    return dict(zip(PARTS, map(_text, numbers), strict=True))
+
+
+def _counts(arm: Arm, measure: str) -> list[tuple[int, int]]:
+    return [run.learning if measure == LEARNING else run.counts(*MEASURES[measure]) for run in arm.runs]
+
+
+def _text(number: float | int | None) -> str:
+    if number is None:
+        return ""
+    return str(number) if isinstance(number, int) else f"{number:.3f}"
+
+
+def published_for(bench: Bench, arm: Arm) -> float | None:
+    """The paper's success on unseen objects, where its simulation is what this bench imitates."""
+    alike = bench.setting["model"] == "fcn7" and bench.setting["objects"] == "diverse"
+    if not alike or not arm.learned or arm.transfer not in ("none", "full"):
+        return None
+    return paper.UNSEEN.get(bench.primitive, {}).get(arm.task)
+
+
+def _rounded(published: float | None) -> str:
+    return "" if published is None else f"{published:.2f}"
+
+
+def _missing(found: Found) -> list[Row]:
+    missing = []
+    for primitive in paper.PRIMITIVES:
+        there = {
+            (a.task, a.transfer, b.setting["model"]) for b in found.benches for a in b.arms if _same(b.primitive, primitive)
+        }
+        for task, transfer, model in paper.expected(primitive):
+            if (task, transfer, model) in there:
+                continue
+            begun = sum((u.task, u.transfer) == (task, transfer) and _same(u.primitive, primitive) for u in found.unfinished)
+            reason = f"only unfinished runs ({begun})" if begun else "no runs"
+            if file := paper.missing_weights(task):
+                reason += f"; weights not here: {file}"
+            number = paper.UNSEEN[primitive].get(task) if transfer in ("none", "full") else None
+            cell = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
+            missing.append({**cell, "paper_unseen": _rounded(number)})
+    return missing
+
+
+def _same(primitive: str, published: str) -> bool:
+    """Whether ours is the paper's primitive: ``grasp_rg2`` is grasping too."""
+    return primitive.split("_")[0] == published
+
+
+def scores_of(arm: Arm, measure: str = "after_unseen") -> np.ndarray:
+    """Success rate (seed, test run)."""
+    return np.array([run.scores(*MEASURES[measure]) for run in arm.runs])
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How probably a seed of one arm does better than one of another."""
+
+    arm: Arm
+    other: Arm
+    measure: str
+    probability: str
+    low: str
+    high: str
+    verdict: str
+
+
+def comparisons(bench: Bench, measure: str) -> list[Comparison]:
+    """Every arm with the baseline, and arms of one source with each other."""
+    pairs = [
+        (arm, other)
+        for i, arm in enumerate(bench.arms)
+        for other in bench.arms[:i]
+        if other.transfer == "none" or arm.task == other.task
+    ]
+    compared = []
+    for arm, other in pairs:
+        a, b = (np.array(rates(each, measure)) for each in (arm, other))
+        if len(a) and len(b):
+            low, high = improvement_interval(a, b)
+            share = float(improvement(a, b))
+            texts = (_text(share), _text(low), _text(high))
+            compared.append(Comparison(arm, other, measure, *texts, verdict(len(a), len(b), low, high)))
+    return compared
+
+
+def verdict(n: int, m: int, low: float, high: float) -> str:
+    """What ``n`` seeds against ``m`` allow to say, given the interval of the probability of improvement."""
+    chance = 2 / math.comb(n + m, n)  # of the seeds of two equal arms to fall entirely apart, either way
+    if min(n, m) < ENOUGH or chance > 0.05:
+        odds = "always" if chance >= 1 else f"one time in {1 / chance:.2g}"
+        return f"too few seeds to conclude ({n} and {m}): equal arms would part entirely {odds}"
+    if low <= 0.5 <= high:
+        return "no difference shown: the interval holds one half"
+    return "better" if low > 0.5 else "worse"
+
+
+@dataclass(frozen=True)
+class Aggregate:
+    """The interquartile mean of several arms together."""
+
+    transfer: str
+    sources: str
+    mean: str
+    low: str
+    high: str
+
+
+def aggregates(bench: Bench) -> list[Aggregate]:
+    """Every kind of transfer over its sources, on unseen objects; none where a source has several configurations."""
+    kinds = {
+        kind: [arm for arm in bench.arms if arm.transfer == kind] for kind in dict.fromkeys(a.transfer for a in bench.arms)
+    }
+    if not all(arm.alone for arm in bench.arms) or max(map(len, kinds.values())) < 2:
+        return []
+    together = []
+    for kind, arms in kinds.items():
+        strata = [scores_of(arm) for arm in arms]
+        mean = float(interquartile_mean(np.concatenate([scores.ravel() for scores in strata])))
+        interval = interquartile_interval(strata) if min(map(len, strata)) >= ENOUGH else (None, None)
+        together.append(Aggregate(kind, ", ".join(arm.task for arm in arms), *map(_text, (mean, *interval))))
+    return together
+
+
+def write_csv(lines: list[Row], path: Path) -> None:
+    """All columns of all rows."""
+    with replacing(path) as partial, partial.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+def write_markdown(lines: list[Row], path: Path) -> None:
+    """The columns that a reader looks for first."""
+    text = ["| primitive | source | transfer | configuration | seeds | paper, unseen | " + " | ".join(SHORT) + " | note |"]
+    text.append("|" + "---|" * (text[0].count("|") - 1))
+    for row in lines:
+        setting = f"setting {row['setting']}, " if row["setting"] else ""
+        configuration = f"{setting}`{row['config_hash']}` {row['differs']}".strip() if row["config_hash"] else ""
+        cells = [row["primitive"], row["task"], row["transfer"], configuration, row["seeds"], row["paper_unseen"]]
+        cells += [_cell(row, measure) for measure in SHORT.values()] + [row["note"]]
+        text.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    text += ["", "Mean over seeds [95 % t interval] (successes/attempts)."]
+    with replacing(path) as partial:
+        partial.write_text("\n".join(text) + "\n")
+
+
+SHORT = {
+    "after, unseen": "after_unseen",
+    "after, seen": "after_seen",
+    "zero-shot, unseen": "zero_shot_unseen",
+    "zero-shot, seen": "zero_shot_seen",
+}
+
+
+def _cell(row: Row, measure: str) -> str:
+    mean, low, high, successes, attempts, *_ = (row[f"{measure}_{part}"] for part in PARTS)
+    if not mean:
+        return ""
+    return f"{mean} {f'[{low}, {high}] ' if low else ''}({successes}/{attempts})"

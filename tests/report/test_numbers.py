@@ -1,0 +1,96 @@
+"""What is concluded from numbers, and where they are taken from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torchvision
+from omegaconf import DictConfig
+from see2act.report import paper, runs
+from see2act.report.benches import SHOWN, find
+from see2act.report.plots import _blocks, _failures
+from see2act.report.runs import CONDITIONS
+from see2act.report.summary import aggregates, comparisons, verdict
+
+MakeRun = Callable[..., Path]
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "low", "high", "words"),
+    [
+        (2, 20, 1.0, 1.0, "too few seeds to conclude (2 and 20)"),
+        (3, 3, 1.0, 1.0, "equal arms would part entirely one time in 10"),
+        (1, 1, 1.0, 1.0, "equal arms would part entirely always"),
+        (4, 4, 0.6, 1.0, "better"),
+        (5, 5, 0.0, 0.4, "worse"),
+        (5, 5, 0.4, 1.0, "no difference shown"),
+        (5, 5, 0.5, 1.0, "no difference shown"),
+    ],
+)
+def test_nothing_is_concluded_from_too_little(n: int, m: int, low: float, high: float, words: str) -> None:
+    assert words in verdict(n, m, low, high)
+
+
+def test_arms_are_compared_with_the_baseline_and_within_their_source(make_run: MakeRun, tmp_path: Path) -> None:
+    for seed in range(4):
+        make_run("none-none", seed=seed, unseen=[(seed, 10), (seed, 10)])
+        make_run("normal-full", seed=seed, unseen=[(5 + seed, 10), (5 + seed, 10)])
+        make_run("normal-backbone", seed=seed, unseen=[(seed, 10), (seed, 10)])
+        make_run("edge-full", seed=seed)
+        make_run("edge-full", "grasp", seed=seed)
+    bench = next(bench for bench in find(tmp_path).benches if bench.primitive == "suction")
+    found = {(c.arm.cell, c.other.cell): c for c in comparisons(bench, "after_unseen")}
+    assert set(found) == {
+        ("normal, full", "none (random)"),
+        ("normal, backbone", "none (random)"),
+        ("normal, backbone", "normal, full"),
+        ("edge, full", "none (random)"),
+    }
+    assert (found["normal, full", "none (random)"].probability, found["normal, full", "none (random)"].verdict) == (
+        "1.000",
+        "better",
+    )
+    assert found["normal, backbone", "none (random)"].probability == "0.500"
+    assert found["normal, backbone", "normal, full"].verdict == "worse"
+    together = aggregates(bench)
+    assert [(a.transfer, a.sources) for a in together] == [("none", "none"), ("full", "normal, edge"), ("backbone", "normal")]
+    assert [a.mean for a in together] == ["0.150", "0.725", "0.150"]  # 0.725: of six times 0.7 and two 0.8
+
+
+def test_sources_with_several_configurations_are_not_put_together(make_run: MakeRun, tmp_path: Path) -> None:
+    make_run("normal-full", config_hash="aaaaaaaaaaaa")
+    make_run("normal-full", config_hash="bbbbbbbbbbbb")
+    make_run("edge-full", config_hash="cccccccccccc")
+    (bench,) = find(tmp_path).benches
+    assert aggregates(bench) == []
+
+
+def test_robot_minutes_add_up_and_failures_are_shares(make_run: MakeRun, tmp_path: Path) -> None:
+    for seed in range(2):
+        make_run(seed=seed, learned=[1] * 20 + [0] * 20 + [1] * 5, seen=[(10, 10)], unseen=[(0, 10)], zero=[(5, 10)])
+    ((arm,),) = (bench.arms for bench in find(tmp_path).benches)
+    blocks = _blocks(arm)
+    assert blocks.steps.tolist() == [20, 40, 45]
+    assert blocks.rates.tolist() == [[1, 0, 1]] * 2
+    assert blocks.minutes[0] == pytest.approx([2, 4, 4.5])  # six seconds an attempt
+    assert _failures(arm, "while learning") == {"slipped": pytest.approx(20 / 45)}
+    assert _failures(arm, "zero-shot") == {"missed": 0.5}
+    assert _failures(arm, "after, by the protocol") == {"missed": 0.5}
+
+
+def test_the_file_names_of_weights_are_torchvision_s(config: Callable[..., DictConfig]) -> None:
+    for task, file in paper.OFF_THE_SHELF.items():
+        model, member = config(f"task={task}", "transfer=backbone", "model=rpn_r50_fpn").task.off_the_shelf.weights.split(".")
+        assert torchvision.models.get_model_weights(model)[member].url.endswith(f"/{file}")
+
+
+def test_the_keys_of_a_setting_are_those_of_the_configuration(config: Callable[..., DictConfig]) -> None:
+    flat = runs._flat(config())
+    for key in SHOWN:
+        assert key in flat or f"{key}.name" in flat
+    for beginning in CONDITIONS:
+        assert any(runs.begins(key, [beginning]) for key in flat), beginning
+    assert runs.begins("evaluate.attempts.seen", CONDITIONS)
+    assert not runs.begins("evaluate.at", CONDITIONS)
