@@ -25,6 +25,13 @@ from torch import Tensor
 
 from benchmarks.common import PRIMITIVES, Work, faster, not_here, overhead, race, timed
 
+GRADIENT = {"fcn7": 1e-4, "rpn_r50_fpn": 1e-2}
+"""By which gradients may differ, as a share of the largest.
+
+The order of sums in a layer differs with its layout, and fifty layers of single precision make more of that than seven. The
+RPN's step is on whole heightmaps in both, so there is no window to be wrong about.
+"""
+
 
 def observing(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
     """Rendering, noise, point cloud and heightmap, against the picture alone, without the arm in both."""
@@ -142,7 +149,7 @@ def learning(overrides: list[str], model: str, primitive: str, repeats: int) -> 
             repeats,
         )
         if precision == "fp32":
-            _same_gradient(ours, plain)
+            _same_gradient(ours, plain, GRADIENT[model])
         rows.append(faster(name, *seconds, targets.get((model, primitive, precision))))
     return rows
 
@@ -150,8 +157,15 @@ def learning(overrides: list[str], model: str, primitive: str, repeats: int) -> 
 def remembering(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
     """A draw and its update among 100 000 transitions, against 1 000."""
     cfg = composed(overrides)
-    color, height = _heightmap(cfg)
-    several = [(color.copy(), height.copy()) for _ in range(200)]  # more than a cache holds, far less than 100 000 would take
+    rng = generator("benchmarks/stages/heightmaps")
+    patch = np.ones((16, 16), np.uint8)  # plain surfaces, which compress as those of a bin do
+    several = [
+        (
+            np.kron(rng.integers(0, 256, (9, 9, 3), dtype=np.uint8), patch[:, :, None]),
+            np.kron(rng.random((9, 9), np.float32), patch),
+        )
+        for _ in range(200)
+    ]
 
     def draws(size: int) -> Work:
         replay = Replay(**cfg.finetune.replay, rng=generator("benchmarks/stages/replay"))
@@ -214,11 +228,11 @@ def _backward(module: AffordanceModule, logits: Tensor, batch: dict[str, Tensor]
     F.binary_cross_entropy_with_logits(logits, batch["label"]).backward()
 
 
-def _same_gradient(ours: AffordanceModule, plain: AffordanceModule) -> None:
+def _same_gradient(ours: AffordanceModule, plain: AffordanceModule, tolerance: float) -> None:
     for (name, a), b in zip(ours.named_parameters(), plain.parameters(), strict=True):
         if (a.grad is None) != (b.grad is None):
             raise RuntimeError(f"only one of the learning steps has a gradient in {name}")
-        if a.grad is not None and b.grad is not None and (a.grad - b.grad).abs().max() > 1e-4 * b.grad.abs().max():
+        if a.grad is not None and b.grad is not None and (a.grad - b.grad).abs().max() > tolerance * b.grad.abs().max():
             raise RuntimeError(f"the fast learning step has another gradient than the plain one, in {name}")
 
 
