@@ -69,7 +69,7 @@ def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
         more, image = pretraining(run, collection, repeats)
         table += more
     hours = sum(_grid(composed([f"primitive={primitive}"]), stages[primitive]) for primitive in SOURCES)
-    looked = sum(stages["grasp"][name] for name in ("observing", "acting", "filling the bin"))
+    looked = sum(stages[primitive][name] for name in ("observing", "acting", "filling the bin"))
     hours += OBSERVATIONS * (looked + VISION_TASKS * cfg.pretrain.epochs * image) / 3600
     return [*table, limit(f"{2 * RUNS} runs of the benchmark on two cores", hours / 2 * 3600, HOURS * 3600)]
 
