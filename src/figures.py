@@ -107,7 +107,7 @@ def heatmaps(robot: Robot, models: dict[str, AffordanceModule], policy: Policy, 
         title: Over the figures.
         folder: Where to.
     """
-    maps, grid = plt.subplots(scenes * 2, 1 + len(models), figsize=(2.9 * (1 + len(models)), 3 * scenes * 2), squeeze=False)
+    maps, grid = plt.subplots(scenes * 2, 1 + len(models), figsize=(2.9 * (1 + len(models)), 3.3 * scenes * 2), squeeze=False)
     picks, views = plt.subplots(2, 2, figsize=(11, 7))
     chooser = list(models.values())[-1]
     for row, (split, run) in enumerate((s, r) for s in SPLITS for r in range(scenes)):

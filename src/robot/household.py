@@ -23,13 +23,6 @@ def _star(points: int, inner: float, outer: float, height: float) -> Parts:
     return [prism(corners, height) for corners in (core, *triangles)]
 
 
-def _heart(size: float, height: float) -> Parts:
-    r = size / 4
-    left, right = (cylinder(r, height, (s * r, r * 0.6, height / 2)) for s in (-1, 1))
-    tip = prism(np.array([[-1.9 * r, 0.25 * r], [0, 0.55 * r], [1.9 * r, 0.25 * r], [0, -2.2 * r]]), height)
-    return [left, right, tip]
-
-
 def _arc(radius: float, thick: float, sweep: float, parts: int) -> Parts:
     """A bent bar, thinner at its ends: a banana or a moon."""
     turns = np.linspace(-sweep / 2, sweep / 2, parts + 1)
@@ -70,7 +63,7 @@ HOUSEHOLD: dict[str, Callable[[], Parts]] = {
     "kiwi": lambda: [ellipsoid(0.032, 0.026, 0.024)],
     # decorative
     "star": lambda: _star(5, 0.020, 0.042, 0.024),
-    "heart": lambda: _heart(0.062, 0.024),
+    "medal": lambda: [prism(_polygon(8, 0.034), 0.028)],
     "egg": lambda: [ellipsoid(0.030, 0.022, 0.022)],
     "pyramid": lambda: [cone(0.034, 0.022, 0.034, 4)],
     "gem": lambda: [cone(0.022, 0.034, 0.020, 6), _up(cone(0.034, 0.022, 0.020, 6), 0.020)],
