@@ -35,13 +35,10 @@ SOURCES = {"suction": "normal", "grasp": "foreground"}
 """The paper's best vision task for each primitive."""
 SECONDS = {"suction": 0.3, "grasp": 0.6}
 """An attempt may take, learning included, on one core."""
-ATTEMPTS = {"suction": 300, "grasp": 400}
-"""Of fine-tuning, in a run of the benchmark."""
 RUNS = 35
 """Of each primitive: six sources transferred whole (none counts as one) and a backbone, with five seeds each."""
-TEST_RUNS = 3
-VISION_TASKS, OBSERVATIONS = 5, 1000
-"""Learned before them, each from so many observations."""
+VISION_TASKS = 5
+"""Learned before them."""
 HOURS = 3.0
 EMPTY_BIN = 10 / 0.7
 """Attempts of a test run, if a bin of ten objects is emptied at a success rate of 0.7."""
@@ -68,9 +65,10 @@ def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
             table += more
         more, image = pretraining(run, collection, repeats)
         table += more
-    hours = sum(_grid(composed([f"primitive={primitive}"]), stages[primitive]) for primitive in SOURCES)
+    runs = {primitive: composed(["experiment=vision_tasks", f"primitive={primitive}"]) for primitive in SOURCES}
+    hours = sum(_grid(cfg, stages[name]) for name, cfg in runs.items())
     looked = sum(stages[primitive][name] for name in ("observing", "acting", "filling the bin"))
-    hours += OBSERVATIONS * (looked + VISION_TASKS * cfg.pretrain.epochs * image) / 3600
+    hours += runs[primitive].collect.interactions * (looked + VISION_TASKS * cfg.pretrain.epochs * image) / 3600
     return [*table, limit(f"{2 * RUNS} runs of the benchmark on two cores", hours / 2 * 3600, HOURS * 3600)]
 
 
@@ -173,11 +171,10 @@ def pretraining(run: Run, collection: Collection, repeats: int) -> tuple[list[di
 
 def _grid(cfg: DictConfig, stages: dict[str, float]) -> float:
     """Hours of one core for all runs of a primitive."""
-    attempts = ATTEMPTS[cfg.primitive.name]
     tests = len({0, *cfg.primitive.evaluate_at}) + 1  # the last is that of the plain argmax
-    attempted = tests * TEST_RUNS * sum(min(EMPTY_BIN, n) for n in cfg.evaluate.attempts.values())
+    attempted = tests * cfg.evaluate.runs * sum(min(EMPTY_BIN, n) for n in cfg.evaluate.attempts.values())
     tested = sum(stages[name] for name in ("observing", "deciding", "acting", "filling the bin"))
-    return RUNS * (attempts * sum(stages.values()) + attempted * tested) / 3600
+    return RUNS * (cfg.finetune.attempts * sum(stages.values()) + attempted * tested) / 3600
 
 
 if __name__ == "__main__":

@@ -203,6 +203,7 @@ def test_experiments_share_the_runs_they_have_in_common(config: Callable[..., Di
 @pytest.mark.parametrize("experiment", ["transfer_parts", "vision_tasks", "off_the_shelf", "smoke"])
 def test_cells_of_experiments_make_sense(config: Callable[..., DictConfig], experiment: str) -> None:
     cfg = config(f"experiment={experiment}")
+    assert illegal_cell(cfg) is None
     for cell in cfg.cells:
         primitive, task, transfer = cell.split("/")
         validate(config(f"experiment={experiment}", f"primitive={primitive}", f"task={task}", f"transfer={transfer}"))
