@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -91,6 +91,7 @@ def _row(name: str, seconds: float, naive: float | None, ratio: float | None, ta
 
 
 def not_here(name: str) -> dict[str, Any]:
+    """A row for what this processor cannot do."""
     unknown = dict.fromkeys(("seconds", "naive_seconds", "ratio", "target"))
     return {"name": name, **unknown, "met": "n/a: this processor does not compute in bfloat16"}
 
@@ -100,11 +101,15 @@ def limit(name: str, seconds: float, most: float) -> dict[str, Any]:
     return _row(name, seconds, None, None, f"<= {most:g} s", seconds <= most)
 
 
-def timed(description: str | None, title: str, rows: Callable[[list[str], int], list[dict[str, Any]]]) -> None:
-    """The command of a measurement of time: ``rows(overrides, repeats)``, printed and written."""
+def timed(description: str | None, title: str, rows: Callable[[list[str], int], Iterable[dict[str, Any]]]) -> None:
+    """The command of a measurement of time: ``rows(overrides, repeats)``, each told as it comes, then printed and written."""
     parser = arguments(description, workers=False)
     parser.add_argument(
         "--repeats", type=at_least_one, default=9, metavar="N", help="of what is fast; fewer of the rest (default 9)"
     )
     args = parser.parse_args()
-    finish(title, rows(args.overrides, args.repeats), args.json)
+    table = []
+    for row in rows(args.overrides, args.repeats):
+        table.append(row)
+        print(row, file=sys.stderr, flush=True)
+    finish(title, table, args.json)

@@ -44,11 +44,11 @@ EMPTY_BIN = 10 / 0.7
 """Attempts of a test run, if a bin of ten objects is emptied at a success rate of 0.7."""
 
 
-def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
+def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
     """The whole table, on one thread."""
     quiet()
     torch.set_num_threads(1)
-    table, stages = [], {}
+    stages = {}
     with TemporaryDirectory() as scratch:
         for primitive, task in SOURCES.items():
             cfg = composed(
@@ -62,14 +62,14 @@ def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
             collection = run.collect()
             module, _ = run.transfer(collection, run.pretrain(collection))
             more, stages[primitive] = looping(run, module, primitive)
-            table += more
+            yield from more
         more, image = pretraining(run, collection, repeats)
-        table += more
+        yield from more
     runs = {primitive: composed(["experiment=vision_tasks", f"primitive={primitive}"]) for primitive in SOURCES}
     hours = sum(_grid(cfg, stages[name]) for name, cfg in runs.items())
     looked = sum(stages[primitive][name] for name in ("observing", "acting", "filling the bin"))
     hours += runs[primitive].collect.interactions * (looked + VISION_TASKS * cfg.pretrain.epochs * image) / 3600
-    return [*table, limit(f"{2 * RUNS} runs of the benchmark on two cores", hours / 2 * 3600, HOURS * 3600)]
+    yield limit(f"{2 * RUNS} runs of the benchmark on two cores", hours / 2 * 3600, HOURS * 3600)
 
 
 def looping(run: Run, module: AffordanceModule, primitive: str) -> tuple[list[dict[str, Any]], dict[str, float]]:

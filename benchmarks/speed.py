@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from benchmarks import loop, stages, sweep
 from benchmarks.common import timed
 
 
-def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
+def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
     """Stages, the loop, a sweep."""
-    return [row for part in (stages, loop, sweep) for row in part.rows(overrides, repeats)]
+    for part in (stages, loop, sweep):
+        yield from part.rows(overrides, repeats)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from statistics import median
 from time import process_time
 from typing import Any
@@ -236,19 +237,19 @@ def _same_gradient(ours: AffordanceModule, plain: AffordanceModule, tolerance: f
             raise RuntimeError(f"the fast learning step has another gradient than the plain one, in {name}")
 
 
-def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
+def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
     """The whole table, on one thread."""
     torch.set_num_threads(1)
-    table = observing(overrides, repeats)
+    yield from observing(overrides, repeats)
     for primitive in PRIMITIVES:
-        table += attempting(overrides, primitive, 3 * repeats)
-    table += deciding(overrides, "fcn7", repeats)
+        yield from attempting(overrides, primitive, 3 * repeats)
+    yield from deciding(overrides, "fcn7", repeats)
     for primitive in PRIMITIVES:
-        table += learning(overrides, "fcn7", primitive, repeats)
+        yield from learning(overrides, "fcn7", primitive, repeats)
     few = max(1, repeats // 3)
-    table += deciding(overrides, "rpn_r50_fpn", few)
-    table += learning(overrides, "rpn_r50_fpn", "grasp", few)
-    return table + remembering(overrides, repeats)
+    yield from deciding(overrides, "rpn_r50_fpn", few)
+    yield from learning(overrides, "rpn_r50_fpn", "grasp", few)
+    yield from remembering(overrides, repeats)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from benchmarks.common import faster, timed
 JOBS = 8
 SMALL = (
     *("task=none", "transfer=none", "primitive=suction", "collect.interactions=20", "figures.scenes=1", "logger=none"),
-    *("finetune.attempts=20", "evaluate.at=[0]", "evaluate.attempts={seen: 5, unseen: 5}", "hydra.sweep.dir=sweep"),
+    *("finetune.attempts=15", "evaluate.at=[0]", "evaluate.attempts={seen: 4, unseen: 4}", "hydra.sweep.dir=sweep"),
 )
 
 

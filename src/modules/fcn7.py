@@ -51,15 +51,15 @@ class FCN7(PixelNetwork):
             Residual(4 * width, 2 * width),
             nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False),
             Residual(2 * width, width),
+            Logits(width, 1, 1),  # before the last enlargement, which gives the same and enlarges one channel instead of all
             nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False),
-            Logits(width, 1, 1),
         )
         super().__init__(backbone, head, stride=4, reach=48)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         # Start near "I do not know": every pixel of a new head has a probability of about a half.
-        last = head[-1]
+        last = head[-2]
         assert isinstance(last, Logits)
         assert last.bias is not None
         nn.init.normal_(last.weight, std=0.01)

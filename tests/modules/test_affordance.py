@@ -11,7 +11,7 @@ from see2act.modules.fcn7 import FCN7
 def _module(angles: int, batchnorm: str = "frozen") -> AffordanceModule:
     torch.manual_seed(0)
     network = FCN7(4)
-    torch.nn.init.normal_(network.head[-1].weight, std=0.3)
+    torch.nn.init.normal_(network.head[-2].weight, std=0.3)
     for layer in batchnorms(network).values():
         layer.running_mean.normal_(0, 0.3)
         layer.running_var.uniform_(0.5, 2)

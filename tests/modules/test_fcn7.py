@@ -43,7 +43,7 @@ def test_width_64_is_the_paper_s() -> None:
 
 
 def test_reach_covers_everything_a_logit_depends_on(network: FCN7) -> None:
-    torch.nn.init.normal_(network.head[-1].weight)
+    torch.nn.init.normal_(network.head[-2].weight)
     x = torch.randn(1, 4, 200, 200, requires_grad=True)
     network.eval()(x)[0, 0, 101, 98].backward()
     rows, cols = x.grad.abs().sum((0, 1)).nonzero().T
@@ -100,7 +100,7 @@ def test_frozen_batchnorm_stays(network: FCN7) -> None:
 
 @pytest.mark.parametrize("side", [100, 144, 204])
 def test_one_logit_is_that_of_the_whole_map(network: FCN7, side: int) -> None:
-    torch.nn.init.normal_(network.head[-1].weight)
+    torch.nn.init.normal_(network.head[-2].weight)
     x = torch.randn(4, 4, side, side)
     row, col = torch.tensor([[0, side - 1], [side // 2, side // 2 + 1], [77, 78], [side - 3, 50]]).T
     with torch.no_grad():
@@ -115,7 +115,7 @@ def test_an_unknown_precision_is_refused(network: FCN7) -> None:
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_the_fast_way_gives_the_same_logits(network: FCN7, precision: str) -> None:
-    torch.nn.init.normal_(network.head[-1].weight)
+    torch.nn.init.normal_(network.head[-2].weight)
     x = torch.randn(2, 4, 64, 64)
     with torch.no_grad():
         plain = network.eval()(x)
@@ -138,7 +138,7 @@ def test_scaled_logits_are_less_sure_of_the_same(model: FCN7 | RPN) -> None:
 def test_large_logits_stay_apart_in_bfloat16(network: FCN7) -> None:
     """bfloat16 knows no number between 64 and 64.5: of equal logits the policy would take the one in the corner."""
     network.speed_up("bf16")
-    torch.nn.init.constant_(network.head[-1].bias, 64.0)
+    torch.nn.init.constant_(network.head[-2].bias, 64.0)
     with torch.no_grad():
         logits = network.eval()(torch.randn(1, 4, 64, 64))
     assert len(logits.unique()) > 0.9 * logits.numel()
