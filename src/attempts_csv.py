@@ -14,7 +14,22 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     *("phase", "split", "policy", "run", "step", "episode", "scene_seed", "primitive"),
-    *("row", "col", "angle", "x", "y", "z", "score", "explore", "success", "truth", "cause", "lost", "robot_seconds"),
+    *(
+        "row",
+        "col",
+        "angle",
+        "x",
+        "y",
+        "z",
+        "score",
+        "explore",
+        "entropy",
+        "success",
+        "truth",
+        "cause",
+        "lost",
+        "robot_seconds",
+    ),
     *("t_observe", "t_decide", "t_act", "t_learn", "t_total"),
 )
 TIMES = COLUMNS[-5:]
@@ -45,6 +60,7 @@ class AttemptsCsv:
             **{"row": pick.row, "col": pick.col, "angle": f"{pick.angle:.6f}"},
             **{"x": f"{pick.x:.5f}", "y": f"{pick.y:.5f}", "z": f"{pick.z:.6f}"},
             **{"score": f"{attempt.choice.score:.6f}", "explore": int(attempt.choice.explored)},
+            **{"entropy": f"{attempt.choice.entropy:.4f}"},
             **{"success": int(outcome.success), "truth": int(outcome.truth), "cause": outcome.cause},
             "lost": outcome.lost,
             "robot_seconds": f"{outcome.robot_seconds:.3f}",

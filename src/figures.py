@@ -12,8 +12,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from scipy.special import expit
 from see2act import attempts_csv
-from see2act.attempt import attempt
+from see2act.attempt import Affordances, Attempt, attempt
 from see2act.datamodules.collect import Collection
 from see2act.datamodules.labels import Means, Task
 from see2act.evaluation import SPLITS, scene_seed
@@ -32,6 +33,8 @@ TALLEST = 0.12
 """Metres at the bright end of the height pictures."""
 JAWS = 0.043
 """Metres from the middle of the open gripper to a pad."""
+ABOVE_FLOOR = 0.01
+"""Metres: a pick above is on an object, or a wall."""
 
 
 def learning_curve(attempts: Path, path: Path, title: str) -> None:
@@ -59,6 +62,95 @@ def learning_curve(attempts: Path, path: Path, title: str) -> None:
     axes.set(xlabel="attempts", ylabel="success rate", ylim=(-0.02, 1.02), title=title)
     axes.legend(loc="best", fontsize=8)
     axes.grid(alpha=0.3)
+    _save(figure, path)
+
+
+def diagnosis(attempts: Path, path: Path, title: str) -> None:
+    """How learning went: causes of failure, where and how surely was picked, and whether predictions can be believed."""
+    rows = attempts_csv.read(attempts)
+    learning = [row for row in rows if row["phase"] == "finetune"]
+    blocks = [learning[i : i + BLOCK] for i in range(0, len(learning), BLOCK)]
+    steps = [int(block[-1]["step"]) for block in blocks]
+    figure, (causes, where, calibration) = plt.subplots(1, 3, figsize=(15, 4.2))
+    below = np.zeros(len(blocks))
+    for cause in sorted({row["cause"] for row in learning}, key=lambda cause: (cause != "ok", cause)):
+        share = np.array([np.mean([row["cause"] == cause for row in block]) for block in blocks])
+        causes.bar(steps, share, width=0.8 * BLOCK, bottom=below, label=cause)
+        below += share
+    causes.set(xlabel="attempts", ylabel="share", title="what came of attempts while learning")
+    curves = {
+        "on something (> 1 cm)": lambda block: np.mean([float(row["z"]) > ABOVE_FLOOR for row in block]),
+        "near an earlier pick of the bin": lambda block: np.mean([_near_earlier(row, learning) for row in block]),
+        "predicted success": lambda block: np.mean([float(row["score"]) for row in block]),
+        "successful": lambda block: np.mean([int(row["success"]) for row in block]),
+        "entropy of the draw / 15 nats": lambda block: np.mean([float(row["entropy"]) for row in block]) / 15,
+    }
+    for name, measure in curves.items():
+        where.plot(steps, [measure(block) for block in blocks], "o-", markersize=3, label=name)
+    where.set(xlabel="attempts", ylim=(-0.02, 1.02), title=f"blocks of {BLOCK} attempts")
+    calibration.plot([0, 1], [0, 1], ":", color="gray")
+    last = max(int(row["step"]) for row in rows)
+    phases = {
+        "zero-shot": [row for row in rows if row["phase"] == "zero_shot"],
+        "while learning": learning,
+        f"after {last}": [row for row in rows if row["phase"] == "eval" and int(row["step"]) == last],
+    }
+    for name, group in phases.items():
+        points = _reliability(group)
+        if points:
+            predicted, observed, low, high = np.array(points).T
+            calibration.errorbar(predicted, observed, (observed - low, high - observed), fmt="o-", capsize=2, label=name)
+    calibration.set(xlabel="predicted", ylabel="observed", xlim=(0, 1), ylim=(0, 1), title="success of the executed picks")
+    for axis in (causes, where, calibration):
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=7)
+    figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def _near_earlier(row: dict[str, str], rows: list[dict[str, str]]) -> bool:
+    """Whether the pick lies within four pixels of an earlier one of the same episode."""
+    earlier = [r for r in rows if r["episode"] == row["episode"] and int(r["step"]) < int(row["step"])]
+    return any(math.hypot(int(r["row"]) - int(row["row"]), int(r["col"]) - int(row["col"])) <= 4 for r in earlier)
+
+
+def _reliability(rows: list[dict[str, str]]) -> list[tuple[float, float, float, float]]:
+    """Mean prediction, observed rate and its Wilson interval in tenths of the predicted probability."""
+    points = []
+    for tenth in range(10):
+        group = [row for row in rows if min(9, int(float(row["score"]) * 10)) == tenth]
+        if group:
+            successes = sum(int(row["success"]) for row in group)
+            predicted = float(np.mean([float(row["score"]) for row in group]))
+            points.append((predicted, successes / len(group), *wilson(successes, len(group))))
+    return points
+
+
+def failures(failed: list[Attempt], affordances: Affordances, robot: Robot, title: str, path: Path) -> None:
+    """Failed attempts sorted by cause, a row each: the heightmap with the pick, and the heatmap of its angle.
+
+    Args:
+        failed: At least one; the first four of each cause are shown.
+        affordances: The model that chose them.
+        robot: For its jaws and workspace.
+        title: Over the figure.
+        path: Where to.
+    """
+    by_cause: dict[str, list[Attempt]] = {}
+    for one in failed:
+        by_cause.setdefault(one.outcome.cause, []).append(one)
+    figure, grid = plt.subplots(len(by_cause), 8, figsize=(20, 2.8 * len(by_cause)), squeeze=False)
+    for axes, (cause, attempts) in zip(grid, sorted(by_cause.items()), strict=True):
+        for axis in axes:
+            axis.axis("off")
+        for k, one in enumerate(attempts[:4]):
+            heightmap, choice = one.heightmap, one.choice
+            caption = f"{cause}, {len(attempts)} of {len(failed)} failures" if k == 0 else ""
+            _picture(axes[2 * k], heightmap, one.pick, robot, caption)
+            heatmap = expit(affordances(heightmap.color, heightmap.height)[choice.angle])
+            axes[2 * k + 1].imshow(heatmap, cmap="inferno", vmin=0, vmax=1)
+            axes[2 * k + 1].set_title(f"predicted {choice.score:.2f}, best {heatmap.max():.2f}", fontsize=9)
+    figure.suptitle(title, fontsize=10)
     _save(figure, path)
 
 

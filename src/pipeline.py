@@ -17,6 +17,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from see2act import build, figures
+from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, once
 from see2act.config import config_hash, content_hash, relevant_trainer
@@ -167,6 +168,7 @@ class Run:
         """Pictures of what was learned, in ``figures/``."""
         cfg, out = self.cfg, self.folder / "figures"
         figures.learning_curve(self.folder / "attempts.csv", out / "learning_curve.png", self._title())
+        figures.diagnosis(self.folder / "attempts.csv", out / "diagnosis.png", self._title())
         if cfg.task.label is not None:
             figures.labels(collection, build.task(cfg), cfg.labels, cfg.task.name, cfg.figures.scenes, out / "labels.png")
         if quality := self.progress.get("vision"):
@@ -292,16 +294,20 @@ class Run:
         where = {"phase": phase, "step": step, "primitive": self.cfg.primitive.name}
         robot = build.robot_factory(self.cfg, self.cfg.primitive)()
         last = name == f"eval_{self.attempts}"
+        failed: list[Attempt] = []
+
+        def record(attempt: Attempt, **more: Any) -> None:
+            self._attempts.append(attempt, **where, **more)
+            if last and not attempt.outcome.success:
+                failed.append(attempt)
+
         try:
             with robot.film(self.folder / "video.mp4") if last else nullcontext():
-                result = evaluate(
-                    robot,
-                    module.affordances,
-                    policy,
-                    self.protocol,
-                    lambda attempt, **more: self._attempts.append(attempt, **where, **more),
-                    title=f"evaluate at {step} ({policy.name})",
-                )
+                title = f"evaluate at {step} ({policy.name})"
+                result = evaluate(robot, module.affordances, policy, self.protocol, record, title)
+            if failed:
+                title = f"{self._title()}: failed attempts of the last evaluation"
+                figures.failures(failed, module.affordances, robot, title, self.folder / "figures" / "failures.png")
         finally:
             robot.close()
         self.progress.set(name, result)

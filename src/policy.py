@@ -19,6 +19,8 @@ class Choice:
     col: int
     logit: float
     explored: bool
+    entropy: float = 0.0
+    """Nats of the distribution that it was drawn from; 0 where the best was taken."""
 
     @property
     def score(self) -> float:
@@ -85,15 +87,18 @@ class Policy:
         allowed = self._allowed(logits.shape, heightmap)
         masked = np.where(allowed, logits, -np.inf)
         best = int(masked.argmax())
-        index = best
+        index, entropy = best, 0.0
         if temperature > 0:
             assert rng is not None, "exploring needs a generator"
             scores = np.where(allowed, expit(logits.astype(np.float64)), -np.inf).ravel()
-            weights = np.exp((scores - scores.max()) / temperature)
+            below = (scores - scores.max()) / temperature
+            weights = np.exp(below)
             cumulative = np.cumsum(weights)
-            index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
+            total = cumulative[-1]
+            index = int(np.searchsorted(cumulative, rng.random() * total, side="right"))
+            entropy = float(np.log(total) - (weights[weights > 0] * below[weights > 0]).sum() / total)
         angle, row, col = (int(i) for i in np.unravel_index(index, logits.shape))
-        return Choice(angle, row, col, float(logits[angle, row, col]), explored=index != best)
+        return Choice(angle, row, col, float(logits[angle, row, col]), index != best, entropy)
 
     def remember(self, choice: Choice, heightmap: Heightmap, success: bool) -> None:
         """Take note of an attempt that was decided on ``heightmap``."""

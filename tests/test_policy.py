@@ -102,3 +102,13 @@ def test_something_is_chosen_even_when_all_has_failed() -> None:
     maps = np.zeros((1, 5, 5))
     policy.remember(policy.choose(maps, flat), flat, success=False)
     assert policy.choose(maps, flat).logit == 0.0
+
+
+def test_entropy_tells_how_sure_a_draw_is(flat: Heightmap) -> None:
+    policy, rng = Policy("argmax", False), np.random.default_rng(0)
+    everywhere = policy.choose(np.zeros((16, 40, 40)), flat, 0.02, rng)
+    assert everywhere.entropy == pytest.approx(np.log(16 * 40 * 40))
+    two = np.full((16, 40, 40), -40.0)
+    two[0, 3, 4] = two[1, 5, 6] = 40.0
+    assert policy.choose(two, flat, 0.02, rng).entropy == pytest.approx(np.log(2))
+    assert policy.choose(two, flat).entropy == 0

@@ -27,7 +27,7 @@ TINY = (
     ),
     *("evaluate.attempts.seen=2", "evaluate.attempts.unseen=2", "figures.scenes=1"),
 )
-PICTURES = {"learning_curve.png", "labels.png", "vision.png", "heatmaps.png", "picks.png"}
+PICTURES = {"learning_curve.png", "diagnosis.png", "labels.png", "vision.png", "heatmaps.png", "picks.png"}
 
 pytestmark = pytest.mark.slow
 
@@ -94,7 +94,8 @@ def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
     assert {(r["phase"], r["policy"]) for r in rows} == {
         *{("zero_shot", "suppress"), ("finetune", "suppress"), ("eval", "suppress"), ("eval", "argmax")}
     }
-    assert {p.name for p in (folder / "figures").iterdir()} >= PICTURES
+    failed = any(r["phase"] == "eval" and r["policy"] == "suppress" and r["success"] == "0" for r in rows)
+    assert {p.name for p in (folder / "figures").iterdir()} == PICTURES | ({"failures.png"} if failed else set())
     assert {p.name for p in (folder / "checkpoints").iterdir()} == {"vision.ckpt", "affordance.ckpt", "last.ckpt"}
     assert (folder / ".hydra" / "config.yaml").exists()
     report = json.loads((folder / "transfer.json").read_text())

@@ -175,7 +175,13 @@ class TrialAndError(L.Callback):
             primitive=self._primitive,
         )
         self._recent.append(result.outcome.success)
-        module.log("affordance/success", float(np.mean(self._recent[-20:])))
+        measured = {
+            "success": float(np.mean(self._recent[-20:])),
+            "score": result.choice.score,
+            "entropy": result.choice.entropy,
+        }
+        module.log_dict({f"affordance/{name}": value for name, value in measured.items()})
+        module.log_dict({f"replay/{name}": value for name, value in self._data.replay.last_draw().items()})
         self._bar.set_postfix(success=f"{np.mean(self._recent[-20:]):.2f}", refresh=False)
         self._bar.update()
         if step in self._evaluate_at:

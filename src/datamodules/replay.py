@@ -76,6 +76,14 @@ class Replay:
         for i, value in zip(self._drawn, surprise, strict=True):
             self._priorities[i] = float(value) + self._floor
 
+    def last_draw(self) -> dict[str, float]:
+        """Of the batch drawn last: mean age in attempts, mean priority, and share of successes."""
+        return {
+            "age": float(len(self) - 1 - self._drawn.mean()),
+            "priority": float(self._priorities.values()[self._drawn].mean()),
+            "successes": float(np.mean([self._items["label"][i] for i in self._drawn])),
+        }
+
     def state_dict(self) -> dict:
         """Tensors and plain containers only, so that a checkpoint loads with ``weights_only``."""
         state: dict = {name: list(self._items[name]) for name in COLUMNS}

@@ -104,3 +104,14 @@ def test_save_and_load_continue_the_same_draws() -> None:
         assert all(torch.equal(a[k], b[k]) for k in a)
         replay.update(np.linspace(0, 1, 8))
         restored.update(np.linspace(0, 1, 8))
+
+
+def test_the_last_draw_is_described() -> None:
+    replay = _filled(3)
+    batch = replay.sample(64)
+    drawn = batch["color"][:, 0, 0, 0].numpy().astype(int)
+    replay.update(np.where(drawn == 0, 0.49, 0.19))
+    described = replay.last_draw()
+    assert described["age"] == pytest.approx(2 - drawn.mean())
+    assert described["priority"] == pytest.approx(np.where(drawn == 0, 0.5, 0.2).mean())
+    assert described["successes"] == pytest.approx((drawn % 2 == 0).mean())
