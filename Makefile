@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install train test check bench format clean
+.PHONY: install train test smoke check bench format clean
 
 install: .venv/installed
 
@@ -19,6 +19,10 @@ train: install  ## make train ARGS="task=normal transfer=full primitive=suction 
 
 test: check
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope $(ARGS)
+
+smoke: install  ## every cell of the benchmark once, tiny, and the report of it
+	$(BIN)/python train.py -m experiment=smoke $(ARGS)
+	$(BIN)/python report.py multirun/smoke
 
 bench: install  ## about 15 minutes; nothing else should run beside it
 	$(BIN)/python -m benchmarks.speed $(ARGS)

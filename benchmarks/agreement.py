@@ -62,8 +62,11 @@ def main() -> None:
     """The command."""
     parser = arguments(__doc__)
     parser.add_argument("--runs", type=at_least_one, default=12, metavar="N", help="test runs a split (default 12)")
+    parser.add_argument("--primitives", nargs="+", choices=PRIMITIVES, default=PRIMITIVES)
+    parser.add_argument("--settings", nargs="+", choices=list(SETTINGS)[1:], default=list(SETTINGS)[1:])
     args = parser.parse_args()
-    jobs = [(args.overrides, primitive, setting, args.runs) for primitive in PRIMITIVES for setting in SETTINGS]
+    settings = [name for name in SETTINGS if name in args.settings or not SETTINGS[name]]
+    jobs = [(args.overrides, primitive, setting, args.runs) for primitive in args.primitives for setting in settings]
     measure(args.overrides, jobs[0][1], jobs[0][2], 1)  # fills the cache before several want it
     finish("Agreement", compared(list(spread(measure, jobs, args.workers, "agreement"))), args.json)
 

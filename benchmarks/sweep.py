@@ -36,10 +36,10 @@ def _sweep(folder: Path, cache: Path, workers: int, jobs: int, overrides: list[s
     seeds = ",".join(map(str, range(jobs)))
     command = [sys.executable, "-c", "from see2act.main import main; main()", "-m", f"seed={seeds}", *SMALL]
     command += [f"hydra.launcher.n_jobs={workers}", f"paths.cache={cache}", *overrides]
-    subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     done = len(list(folder.rglob("result.json")))
     if done != jobs:
-        raise RuntimeError(f"{done} of {jobs} jobs of the sweep were finished")
+        raise RuntimeError(f"{done} of {jobs} jobs of the sweep were finished: {ended.stderr[-2000:]}")
 
 
 if __name__ == "__main__":

@@ -56,8 +56,8 @@ def learning_curve(attempts: Path, path: Path, title: str) -> None:
                 by_step.setdefault(int(row["step"]), []).append(int(row["success"]))
         steps = sorted(by_step)
         rates = [float(np.mean(by_step[s])) for s in steps]
-        bounds = np.array([wilson(sum(by_step[s]), len(by_step[s])) for s in steps])
-        error = np.abs(bounds.T - rates)
+        low, high = np.array([wilson(sum(by_step[s]), len(by_step[s])) for s in steps]).reshape(-1, 2).T
+        error = (rates - low, high - rates)
         axes.errorbar(steps, rates, error, fmt="s--", color=color, capsize=3, label=f"evaluated, {split} objects")
     axes.set(xlabel="attempts", ylabel="success rate", ylim=(-0.02, 1.02), title=title)
     axes.legend(loc="best", fontsize=8)

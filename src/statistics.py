@@ -30,7 +30,8 @@ def wilson(successes: int, attempts: int, confidence: float = 0.95) -> tuple[flo
     centre = rate + z * z / (2 * attempts)
     half = z * math.sqrt(rate * (1 - rate) / attempts + z * z / (4 * attempts * attempts))
     scale = 1 + z * z / attempts
-    return max(0.0, (centre - half) / scale), min(1.0, (centre + half) / scale)
+    # Rounding must not leave the rate itself outside: at 0 and 1 it is a limit.
+    return max(0.0, min(rate, (centre - half) / scale)), min(1.0, max(rate, (centre + half) / scale))
 
 
 def difference_interval(successes: int, attempts: int, others: int, their_attempts: int) -> tuple[float, float]:

@@ -98,3 +98,10 @@ def test_the_probability_of_improvement_counts_pairs() -> None:
     assert 0 <= low <= improvement(a, b) <= high <= 1
     assert improvement_interval(a, b) == (low, high)
     assert improvement_interval(a, a - 1) == (1.0, 1.0)
+
+
+def test_a_rate_lies_within_its_interval_despite_rounding() -> None:
+    for n in range(1, 80):
+        for successes in range(n + 1):
+            low, high = wilson(successes, n)
+            assert 0 <= low <= successes / n <= high <= 1

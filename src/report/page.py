@@ -19,7 +19,11 @@ from see2act.report.plots import Picture
 from see2act.report.runs import SPLITS, Run
 from see2act.report.summary import Row, aggregates, comparisons
 
-GALLERY = {"heatmaps.png": "heatmaps of the models, before and after", "picks.png": "a pick on seen and on unseen objects"}
+GALLERY = {
+    "heatmaps.png": "heatmaps of the models, before and after",
+    "picks.png": "a pick on seen and on unseen objects",
+    "failures.png": "failed picks of the last evaluation, by cause",
+}
 """Pictures of a run, and what they show."""
 OUTCOMES = {"zero_shot": "zero-shot", "eval": "after fine-tuning"}
 WIDEST = 1000

@@ -1,0 +1,40 @@
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+from see2act import figures
+from see2act.attempts_csv import COLUMNS
+
+
+def _row(step: int, score: float, success: int, **more: object) -> dict[str, str]:
+    row = {"phase": "finetune", "step": step, "score": score, "success": success, "cause": "ok" if success else "missed"}
+    return {key: str(value) for key, value in (row | more).items()}
+
+
+def test_reliability_counts_by_tenths_of_the_prediction() -> None:
+    rows = [_row(i, 0.31 + 0.02 * i, i % 2) for i in range(4)] + [_row(9, 1.0, 1)]
+    (predicted, observed, low, high), sure = figures._reliability(rows)
+    assert predicted == pytest.approx(0.34)
+    assert observed == 0.5
+    assert 0 < low < 0.5 < high < 1
+    assert sure[:2] == (1.0, 1.0)
+
+
+def test_repeats_are_within_an_episode_and_after() -> None:
+    rows = [_row(1, 0.5, 0, episode=0, row=10, col=10), _row(2, 0.5, 0, episode=0, row=12, col=13)]
+    rows.append(_row(3, 0.5, 0, episode=1, row=10, col=10))
+    assert [figures._near_earlier(row, rows) for row in rows] == [False, True, False]
+
+
+@pytest.mark.parametrize("learned", [0, 45])
+def test_learning_is_diagnosed_also_where_all_attempts_end_alike(tmp_path: Path, learned: int) -> None:
+    with (tmp_path / "attempts.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="0")
+        writer.writeheader()
+        for step, phase in ((0, "zero_shot"), (learned, "eval")):
+            writer.writerows(_row(step, 0.07 * i, 1, phase=phase) for i in range(15))
+        writer.writerows(_row(i + 1, 0.02 * i, 0, episode=i // 10) for i in range(learned))
+    figures.diagnosis(tmp_path / "attempts.csv", tmp_path / "diagnosis.png", "a run")
+    assert (tmp_path / "diagnosis.png").stat().st_size > 10_000
