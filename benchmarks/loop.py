@@ -157,7 +157,7 @@ def pretraining(run: Run, collection: Collection, repeats: int) -> tuple[list[di
     x, label = module.network.prepare(batch["color"], batch["height"]), batch["label"][:, None].float()
     ours, bare = [], []
     for _ in range(max(1, repeats // 3)):
-        trainer = run._trainer("vision", max_epochs=1, limit_val_batches=0, enable_progress_bar=False)
+        trainer = run._trainer(max_epochs=1, limit_val_batches=0, enable_progress_bar=False)
         start = process_time()
         trainer.fit(module, datamodule=data)
         ours.append((process_time() - start) / steps)

@@ -15,7 +15,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.utils import get_object
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-LOCAL = ("hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
+LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
 LOCAL_TRAINER = ("accelerator", "devices", "logger", "log_every_n_steps", "num_sanity_val_steps")
 """The same of the trainer's keys, with everything that starts with ``enable_``."""
@@ -161,6 +161,8 @@ class Config:
     logger: dict[str, Any] = field(default_factory=dict)
     cells: list[str] = field(default_factory=list)
     """primitive/task/transfer of the cells of a sweep that an experiment consists of; empty: all that make sense."""
+    name: str = "sweep"
+    """Of the experiment."""
     labels: str = "truth"
     seed: int = 0
     precision: str = MISSING

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -21,11 +20,12 @@ from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, once
 from see2act.config import config_hash, content_hash, relevant_trainer
+from see2act.dashboard import Dashboard
 from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
 from see2act.datamodules.replay import Replay
 from see2act.datamodules.vision import VisionDataModule, channel_statistics
-from see2act.evaluation import Protocol, evaluate
+from see2act.evaluation import SPLITS, Protocol, evaluate
 from see2act.files import replacing, write_json
 from see2act.modules import weights
 from see2act.modules.affordance import AffordanceModule
@@ -57,12 +57,20 @@ class Run:
         self.cache = Path(cfg.paths.cache).absolute()
         self.checkpoints = folder / "checkpoints"
         self.checkpoints.mkdir(parents=True, exist_ok=True)
+        self.dashboard = Dashboard()
         self.progress = Progress(folder / "progress.json")
         self.protocol = Protocol(cfg.evaluate.runs, dict(cfg.evaluate.attempts), cfg.evaluate.scenes)
         self.attempts = cfg.finetune.attempts if cfg.transfer.finetune else 0
 
     def __call__(self) -> dict[str, Any]:
         """All stages in order; the contents of ``result.json``."""
+        self.dashboard = Dashboard.of(self.cfg, self.folder, self._title())
+        try:
+            return self._stages()
+        finally:
+            self.dashboard.close()
+
+    def _stages(self) -> dict[str, Any]:
         with self._timed("collect"):
             collection = self.collect()
         with self._timed("pretrain"):
@@ -77,6 +85,7 @@ class Run:
             self._evaluate_argmax(module)
         with self._timed("figures"):
             self.figures(collection, vision, before, module)
+        self.dashboard.show(self.folder)
         return self._finish()
 
     def check_weights(self) -> None:
@@ -222,7 +231,7 @@ class Run:
         weight = (1 - data.positive_share) / data.positive_share if cfg.task.class_weight == "balanced" else 1.0
         steps = data.steps_per_epoch * cfg.pretrain.epochs
         module = VisionModule(network, cfg.pretrain.lr, cfg.pretrain.weight_decay, weight, steps, seed_for("augment", seed))
-        trainer = self._trainer("vision", max_epochs=cfg.pretrain.epochs)
+        trainer = self._trainer(max_epochs=cfg.pretrain.epochs)
         self._fit_to_the_end(trainer, module, data)
         checkpoint = {
             "network": network.state_dict(),
@@ -264,9 +273,7 @@ class Run:
                 lambda step: self._evaluate_at(module, step),
                 cfg.primitive.name,
             )
-            trainer = self._trainer(
-                "finetune", max_epochs=self.attempts, callbacks=[loop], enable_progress_bar=False, limit_val_batches=0
-            )
+            trainer = self._trainer(max_epochs=self.attempts, callbacks=[loop], enable_progress_bar=False, limit_val_batches=0)
             module.train()  # Lightning keeps the mode it finds
             self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)
             for name, weights_only in (("affordance", True), ("last", False)):
@@ -310,6 +317,8 @@ class Run:
                 figures.failures(failed, module.affordances, robot, title, self.folder / "figures" / "failures.png")
         finally:
             robot.close()
+        rule = "" if policy.name == self.cfg.policy.name else f"_{policy.name}"
+        self.dashboard.log({f"evaluate{rule}/{split}": result[split]["rate"] for split in SPLITS} | {"attempts": step})
         self.progress.set(name, result)
 
     def _keep(self, row: dict[str, str], done: int) -> bool:
@@ -339,21 +348,13 @@ class Run:
             angle = torch.from_numpy(chosen.integers(module.rotations.count, size=len(color)))
             yield module.rotations.turned(module.network.prepare(color, height), angle)
 
-    def _trainer(self, stage: str, **more: Any) -> L.Trainer:
-        logger: Any = False
-        if self.cfg.logger:
-            name = f"{self._title().replace(' ', '-')}-{stage}"
-            logger = instantiate(self.cfg.logger)(save_dir=str(self.folder), name=name)
-            logger.log_hyperparams(OmegaConf.to_container(self.cfg, resolve=True))
+    def _trainer(self, **more: Any) -> L.Trainer:
+        logger = self.dashboard.logger or False
         trainer: L.Trainer = instantiate(self.cfg.trainer)(default_root_dir=str(self.folder), logger=logger, **more)
         return trainer
 
     def _fit_to_the_end(self, trainer: L.Trainer, module: L.LightningModule, data: L.LightningDataModule, **more: Any) -> None:
-        try:
-            trainer.fit(module, datamodule=data, **more)
-        finally:
-            if "wandb" in sys.modules:
-                sys.modules["wandb"].finish()
+        trainer.fit(module, datamodule=data, **more)
         if trainer.interrupted:
             # Lightning ends a fit quietly on SIGTERM; what follows must not take it for finished.
             raise KeyboardInterrupt

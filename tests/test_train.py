@@ -105,6 +105,25 @@ def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
     assert list((folder / "wandb").glob("offline-run-*"))
 
 
+def test_the_dashboard_is_read_back(run: tuple[Path, str]) -> None:
+    """Curves, evaluations, figures and attempts, from the file that ``wandb sync`` uploads."""
+    folder, _ = run
+    (offline,) = (folder / "wandb").glob("offline-run-*")
+    wandb = [sys.executable, "-m", "wandb", "leet", "inspect", "--json"]
+    read = subprocess.run([*wandb, "--summary", str(offline)], capture_output=True, text=True, check=True, timeout=60)
+    dashboard = json.loads(read.stdout)
+    assert dashboard["config"]["task"]["name"] == "foreground"
+    result = json.loads((folder / "result.json").read_text())
+    found = json.dumps(dashboard)
+    for name in ("vision/loss", "affordance/success", "affordance/entropy", "replay/age", "evaluate/unseen"):
+        assert name in found
+    assert all(f"figures/{name.removesuffix('.png')}" in found for name in PICTURES)
+    assert str(result["eval"]["unseen"]["rate"]) in found
+    (table,) = (offline / "files" / "media" / "table").glob("attempts_*.table.json")
+    assert len(json.loads(table.read_text())["data"]) == len(_rows(folder))
+    assert "lookup" not in "".join(log.read_text() for log in (offline / "logs").glob("debug*.log"))
+
+
 def test_a_finished_run_is_not_repeated(run: tuple[Path, str], cache: Path) -> None:
     folder, _ = run
     before = (folder / "result.json").stat().st_mtime_ns
@@ -168,7 +187,7 @@ def test_a_run_does_not_continue_another(run: tuple[Path, str], cache: Path) -> 
 
 
 def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
-    _train(tmp_path / "none", cache, "logger=csv", "task=none", "transfer=none", "finetune.attempts=2")
+    _train(tmp_path / "none", cache, "logger=tensorboard", "task=none", "transfer=none", "finetune.attempts=2")
     assert not json.loads((tmp_path / "none" / "transfer.json").read_text())["copied"]
     assert not (tmp_path / "none" / "checkpoints" / "vision.ckpt").exists()
     _train(tmp_path / "fixed", cache, "logger=none", "task=normal", "transfer=fixed")
