@@ -29,8 +29,8 @@ from benchmarks.common import PRIMITIVES, Work, faster, not_here, overhead, race
 GRADIENT = {"fcn7": 1e-4, "rpn_r50_fpn": 1e-2}
 """By which gradients may differ, as a share of the largest.
 
-The order of sums in a layer differs with its layout, and fifty layers of single precision make more of that than seven: 1e-5 was
-measured in the median parameter, 2.5e-3 in the worst. The RPN's step is on whole heightmaps in both, so there is no window to be
+The order of sums in a layer differs with its layout, and fifty layers of single precision make more of that than seven: 1e-5
+was measured in the median parameter, 2.5e-3 in the worst. The RPN's step is on whole heightmaps in both, so there is no window to be
 wrong about.
 """
 
