@@ -137,6 +137,7 @@ def _stages(cfg: DictConfig, module: AffordanceModule, log: Path) -> Iterator[tu
                 optimizer.zero_grad()
                 module.training_step(replay.sample(cfg.finetune.batch_size), 0).backward()
                 optimizer.step()
+                module.on_train_batch_end()
                 assert module.surprise is not None
                 replay.update(module.surprise.numpy())
     robot.close()

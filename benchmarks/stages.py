@@ -29,9 +29,9 @@ from benchmarks.common import PRIMITIVES, Work, faster, not_here, overhead, race
 GRADIENT = {"fcn7": 1e-4, "rpn_r50_fpn": 1e-2}
 """By which gradients may differ, as a share of the largest.
 
-The order of sums in a layer differs with its layout, and fifty layers of single precision make more of that than seven: 1e-5
-was measured in the median parameter, 2.5e-3 in the worst. The RPN's step is on whole heightmaps in both, so there is no window to be
-wrong about.
+The order of sums in a layer differs with its layout, and fifty layers of single precision make more of that than seven:
+1e-5 was measured in the median parameter, 2.5e-3 in the worst. The RPN's step is on whole heightmaps in both, so there is no
+window to be wrong about.
 """
 
 
@@ -198,7 +198,7 @@ def _module(cfg: DictConfig) -> AffordanceModule:
         layer.running_var.uniform_(0.5, 2)
     network.normalization.set(torch.full((4,), 0.3), torch.full((4,), 0.3))
     workspace = instantiate(cfg.workspace)
-    return AffordanceModule(network, workspace.shape, cfg.primitive.angles, 1e-4, 1e-4, 0.0, "frozen")
+    return AffordanceModule(network, workspace.shape, cfg.primitive.angles, 1e-4, 1e-4, 0.0, "frozen", 0.0)
 
 
 def _fast(module: AffordanceModule, precision: str) -> AffordanceModule:

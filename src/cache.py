@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import logging
 from collections.abc import Callable
@@ -14,7 +15,7 @@ SOURCES = Path(__file__).parent
 
 
 def code_hash(*places: str) -> str:
-    """Twelve hexadecimal digits of the source files in folders or files of this package.
+    """Twelve hexadecimal digits of the source files in folders or files of this package, comments and docstrings aside.
 
     Part of a cache's keys: what another version of the code made is never taken for this one's.
     """
@@ -22,8 +23,17 @@ def code_hash(*places: str) -> str:
     for place in places:
         path = SOURCES / place
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(file.relative_to(SOURCES).as_posix().encode() + file.read_bytes())
+            digest.update(f"{file.relative_to(SOURCES).as_posix()} {_meaning(file.read_text())}".encode())
     return digest.hexdigest()[:12]
+
+
+def _meaning(source: str) -> str:
+    """What the interpreter makes of a source file, without strings that stand alone."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(body := getattr(node, "body", None), list):
+            node.body = [s for s in body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]  # type: ignore[attr-defined]
+    return ast.dump(tree)
 
 
 def once(path: Path, make: Callable[[], None]) -> bool:

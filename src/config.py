@@ -73,6 +73,8 @@ class PrimitiveConfig:
     benchmark_attempts: int = MISSING
     """Of a run of the benchmark."""
     evaluate_at: list[int] = field(default_factory=list)
+    turn: float = MISSING
+    """Radians by which a scene may be turned about a pick that stays as good."""
 
 
 @dataclass
@@ -107,6 +109,9 @@ class ReplayConfig:
     beta: float = MISSING
     floor: float = MISSING
     mirror: bool = MISSING
+    turn: float = MISSING
+    shift: float = MISSING
+    tint: float = MISSING
 
 
 @dataclass
@@ -120,6 +125,7 @@ class FinetuneConfig:
     head_lr: float = MISSING
     weight_decay: float = MISSING
     batchnorm: str = MISSING
+    averaging: float = MISSING
     logit_scale: float = MISSING
     temperature: float = MISSING
     episode_attempts: int = MISSING
@@ -306,8 +312,11 @@ def validate(cfg: DictConfig) -> None:
         raise ConfigError(
             f"primitive.margin={cfg.primitive.margin} leaves nothing to pick from: it must lie between 0 and {room}"
         )
-    for key in ("finetune.replay.alpha", "finetune.replay.beta", "finetune.replay.floor", "finetune.weight_decay"):
-        _at_least(key, OmegaConf.select(cfg, key), 0)
+    for key in ("alpha", "beta", "floor", "turn", "shift", "tint"):
+        _at_least(f"finetune.replay.{key}", cfg.finetune.replay[key], 0)
+    _at_least("finetune.weight_decay", cfg.finetune.weight_decay, 0)
+    if not 0 <= cfg.finetune.averaging < 1:
+        raise ConfigError(f"finetune.averaging={cfg.finetune.averaging} must be at least 0 and below 1: 0 does not average")
     if cfg.finetune.logit_scale <= 0:
         raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
     for key in ("pretrain.lr", "finetune.backbone_lr", "finetune.head_lr", "finetune.temperature"):

@@ -15,11 +15,23 @@ import hydra
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
-from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from see2act.config import ConfigError, check_arguments, config_hash, illegal_cell, register, validate
+from see2act.results import versions
+from see2act.sweep import (
+    FAILED,
+    MISSING,
+    OTHER,
+    SKIPPED,
+    Summary,
+    clear_notes,
+    finished_elsewhere,
+    link,
+    note,
+    of_this_version,
+)
 
 log = logging.getLogger("see2act")
 FLAGS = (
@@ -39,8 +51,9 @@ FLAGS = (
 )
 """With these Hydra does something other than one run and does its own checking."""
 
-SKIPPED = "skipped.txt"
-"""In the folder of a sweep's job that made no sense."""
+
+class MissingWeights(ConfigError):
+    """Off-the-shelf weights that are not on this machine; a sweep goes on without them."""
 
 
 def main() -> None:
@@ -52,21 +65,8 @@ def main() -> None:
     except ConfigError as error:
         sys.exit(f"see2act: {error}")
     _hydra_main()
-
-
-class SkippedCells(Callback):
-    """Lists at the end of a sweep the combinations that were skipped because they make no sense."""
-
-    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        """Hydra calls this before the first job."""
-        self._start = time.time()
-
-    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        """Hydra calls this after the last job. Jobs run in processes of their own, so they leave a note each."""
-        notes = sorted(Path(config.hydra.sweep.dir).rglob(SKIPPED))
-        reasons = [note.read_text() for note in notes if note.stat().st_mtime >= self._start]
-        if reasons:
-            log.info("%d combinations were skipped:\n  %s", len(reasons), "\n  ".join(reasons))
+    if Summary.failures:
+        sys.exit(1)
 
 
 def _check(overrides: list[str]) -> None:
@@ -133,42 +133,45 @@ def _check_writable(folder: Path) -> None:
 
 @hydra.main(version_base="1.3", config_path="pkg://see2act.conf", config_name="train")
 def _hydra_main(cfg: DictConfig) -> float | None:
-    """One job: a run, or in a sweep the notice that a cell makes no sense."""
-    sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+    """A run, or a job of a sweep."""
     folder = Path(HydraConfig.get().runtime.output_dir)
-    if sweep and cfg.cells and f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}" not in cfg.cells:
-        return None
-    if sweep and (reason := illegal_cell(cfg)):
-        if not cfg.cells:  # of an experiment that names its cells nobody misses the others
-            (folder / SKIPPED).write_text(f"{cfg.primitive.name}: {reason}")
-        return None
-    if sweep and (twin := _finished_elsewhere(folder)):
-        _link(twin, folder)
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        return _job(cfg, folder, Path(HydraConfig.get().sweep.dir).absolute())
     try:
-        validate(cfg)
-        _check_parts(cfg)
-        return run(cfg, folder)
+        return _checked(cfg, folder)
     except ConfigError as error:
-        if sweep:
-            raise  # one job that fails must not end the others
         sys.exit(f"see2act: {error}")
 
 
-def _finished_elsewhere(folder: Path) -> Path | None:
-    """The same run, finished in another experiment's sweep; None where there is none or this folder has begun its own."""
-    if any((folder / name).exists() for name in ("run.json", "result.json")):
+def _job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
+    """A run of a sweep, or a note why there is none: one job that fails must not end the others."""
+    clear_notes(folder)
+    if cfg.cells and f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}" not in cfg.cells:
         return None
-    sweep = Path(HydraConfig.get().sweep.dir).absolute()
-    others = sweep.parent.glob(f"*/{folder.absolute().relative_to(sweep)}/result.json")
-    return next((result.parent for result in sorted(others) if not result.is_symlink()), None)
+    if reason := illegal_cell(cfg):
+        if not cfg.cells:  # of an experiment that names its cells nobody misses the others
+            note(folder, SKIPPED, f"{cfg.primitive.name}: {reason}")
+        return None
+    if twin := finished_elsewhere(folder, sweep):
+        link(twin, folder)
+    result = folder / "result.json"
+    if result.exists() and not cfg.force and not of_this_version(result):
+        note(folder, OTHER, f"{result}")
+        return None
+    try:
+        return _checked(cfg, folder)
+    except MissingWeights as error:
+        note(folder, MISSING, str(error))
+    except Exception as error:
+        log.exception("this job failed")
+        note(folder, FAILED, f"{type(error).__name__}: {error}")
+    return None
 
 
-def _link(twin: Path, folder: Path) -> None:
-    """Make everything a finished run left appear in ``folder`` too."""
-    for path in sorted(twin.iterdir(), key=lambda path: path.name == "result.json"):  # which means done, so it comes last
-        if not path.name.startswith(".") and not (folder / path.name).exists():
-            (folder / path.name).symlink_to(os.path.relpath(path, folder))
-    log.info("the same run is finished in %s: linked, not run again", twin)
+def _checked(cfg: DictConfig, folder: Path) -> float:
+    validate(cfg)
+    _check_parts(cfg)
+    return run(cfg, folder)
 
 
 def identity(cfg: DictConfig) -> dict[str, Any]:
@@ -177,16 +180,26 @@ def identity(cfg: DictConfig) -> dict[str, Any]:
 
 
 def refuse_foreign(folder: Path, cfg: DictConfig) -> None:
-    """Refuse a folder that holds another run.
+    """Refuse a folder that holds another run, or half a run that another version of the code began.
 
     Raises:
         ConfigError: It does.
     """
-    note = folder / "run.json"
-    known = json.loads(note.read_text()) if note.exists() else None
+    known = _begun(folder)
     used = known or any((folder / name).exists() for name in ("result.json", "attempts.csv"))
-    if used and known != identity(cfg):
+    if used and {key: known.get(key) for key in identity(cfg)} != identity(cfg):
         raise ConfigError(f"{folder} holds a run of another configuration: choose another hydra.run.dir=, or move it away")
+    if known and known.get("versions") != versions() and not (folder / "result.json").exists() and not cfg.force:
+        raise ConfigError(
+            f"{folder} holds a run that another version of the code or of its packages began: force=true moves it aside and "
+            "runs anew"
+        )
+
+
+def _begun(folder: Path) -> dict[str, Any]:
+    note = folder / "run.json"
+    known: dict[str, Any] = json.loads(note.read_text()) if note.exists() else {}
+    return known
 
 
 def run(cfg: DictConfig, folder: Path) -> float:
@@ -209,12 +222,15 @@ def run(cfg: DictConfig, folder: Path) -> float:
 
 def _run_alone(cfg: DictConfig, folder: Path) -> float:
     result = folder / "result.json"
-    if result.exists() and cfg.force:
-        aside = folder.with_name(f"{folder.name}.{time.strftime('%Y%m%d-%H%M%S', time.gmtime(result.stat().st_mtime))}")
+    begun = _begun(folder)
+    if cfg.force and (result.exists() or begun.get("versions", versions()) != versions()):
+        last = (result if result.exists() else folder / "run.json").stat().st_mtime
+        aside = folder.with_name(f"{folder.name}.{time.strftime('%Y%m%d-%H%M%S', time.gmtime(last))}")
         _move_aside(folder, aside)
         log.info("force=true: the earlier run is now in %s", aside)
     if result.exists():
-        log.info("this run is finished already; force=true runs it anew: %s", result)
+        by = "" if of_this_version(result) else " by another version of the code"
+        log.info("this run is finished already%s; force=true runs it anew: %s", by, result)
         if cfg.robot.get("video") and not (folder / "video.mp4").exists():
             log.info("it was not filmed, and only force=true makes a film of it")
         return float(json.loads(result.read_text())["eval"]["unseen"]["rate"])
@@ -222,6 +238,7 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float:
     import torch
     from see2act.files import write_json
     from see2act.modules.transfer import TransferError
+    from see2act.modules.weights import NotDownloaded
     from see2act.pipeline import Run
     from see2act.quiet import quiet
 
@@ -230,9 +247,13 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float:
     job = Run(cfg, folder)
     try:
         job.check_weights()
+    except NotDownloaded as error:
+        raise MissingWeights(str(error)) from None
     except TransferError as error:
         raise ConfigError(str(error)) from None
-    write_json(folder / "run.json", identity(cfg))  # only now: a refused run must not keep the folder to itself
+    write_json(
+        folder / "run.json", identity(cfg) | {"versions": versions()}
+    )  # only now: a refused run must not keep the folder to itself
     outcome = job()
     _report(outcome, folder)
     return float(outcome["eval"]["unseen"]["rate"])

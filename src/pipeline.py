@@ -34,7 +34,7 @@ from see2act.modules.network import PixelNetwork
 from see2act.modules.transfer import TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
-from see2act.results import Progress, curve, versions
+from see2act.results import Progress, curve, packages, versions
 from see2act.seeding import generator, seed_for
 from see2act.statistics import average_precision
 from torch import Tensor
@@ -147,6 +147,7 @@ class Run:
             cfg.finetune.head_lr,
             cfg.finetune.weight_decay,
             cfg.finetune.batchnorm,
+            cfg.finetune.averaging,
         )
         fresh = [name for name in batchnorms(network) if name.split(".")[0] not in cfg.transfer.parts]
         estimate(network, self._unlabelled(module, collection), fresh)
@@ -378,7 +379,7 @@ class Run:
         keys["collect"] = {"interactions": interactions, "per_scene": per_scene, "seed": seed}
         keys["collect"]["primitive"] = _plain(self.cfg.collect.primitive, "end_effector")
         keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")
-        keys["versions"] = versions()
+        keys["versions"] = packages()
         return content_hash(keys)
 
     def _title(self) -> str:

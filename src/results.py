@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import json
 import platform
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from see2act import attempts_csv
+from see2act.cache import code_hash
 from see2act.files import write_json
 
 BLOCK = 20
 """Fine-tuning attempts in a point of the learning curve."""
+DECIDING = (
+    "robot",
+    "modules",
+    "datamodules",
+    "attempt.py",
+    "build.py",
+    "evaluation.py",
+    "pipeline.py",
+    "policy.py",
+    "seeding.py",
+)
+"""Sources of this package that decide numbers."""
 PACKAGES = ("see2act", "torch", "lightning", "hydra-core", "pybullet", "numpy", "opencv-python-headless")
 
 
@@ -38,9 +52,15 @@ class Progress:
         write_json(self._path, self.done)
 
 
-def versions() -> dict[str, str]:
-    """Of Python and the packages that decide numbers."""
+def packages() -> dict[str, str]:
+    """Versions of Python and of the packages that decide numbers."""
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Of the packages and, as a hash, of this code: equal ones give equal results."""
+    return packages() | {"code": code_hash(*DECIDING)}
 
 
 def curve(path: Path) -> list[dict[str, int]]:

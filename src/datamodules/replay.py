@@ -30,11 +30,26 @@ class Replay:
         floor: Smallest priority.
         mirror: Whether half of the heightmaps, drawn anew each time, are to be mirrored by rows, and half by columns:
             a cup does not mind, and a grasp that is horizontal in the turned heightmap stays so.
+        turn: Radians up to which heightmaps are to be turned about their pixel, either way.
+        shift: Pixels up to which they are to be shifted, along rows and columns, either way.
+        tint: Share by which the colour channels, in any order, are to be made stronger and lighter: what an object is to a tool
+            is its shape.
         rng: Generator of the draws.
     """
 
-    def __init__(self, alpha: float, beta: float, floor: float, mirror: bool, rng: np.random.Generator):
-        self._beta, self._floor, self._mirror = beta, floor, mirror
+    def __init__(
+        self,
+        alpha: float,
+        beta: float,
+        floor: float,
+        mirror: bool,
+        turn: float,
+        shift: float,
+        tint: float,
+        rng: np.random.Generator,
+    ):
+        self._beta, self._floor = beta, floor
+        self._mirror, self._turn, self._shift, self._tint = mirror, turn, shift, tint
         self._rng = rng
         self._items: dict[str, list] = {name: [] for name in COLUMNS}
         self._heightmaps: list[bytes] = []
@@ -57,7 +72,7 @@ class Replay:
 
     def sample(self, size: int) -> dict[str, Tensor]:
         """A batch, the newest attempt always in it: color (B, H, W, 3) uint8, height (B, H, W) float32, angle, row,
-        col int64, label and weight float32, mirror (B, 2) bool."""
+        col int64, label and weight float32, mirror (B, 2) bool, turn (B,), shift (B, 2) and tint (B, 3, 4) float32."""
         drawn = self._priorities.draw(size, self._rng)
         drawn[0] = len(self) - 1
         self._drawn = drawn
@@ -69,12 +84,26 @@ class Replay:
             **{name: torch.tensor([self._items[name][i] for i in drawn]) for name in COLUMNS},
             "weight": torch.tensor(weight / weight.max(), dtype=torch.float32),
             "mirror": torch.from_numpy((self._rng.random((size, 2)) < 0.5) & self._mirror),
+            "turn": torch.from_numpy(self._rng.uniform(-self._turn, self._turn, size).astype(np.float32)),
+            "shift": torch.from_numpy(self._rng.uniform(-self._shift, self._shift, (size, 2)).astype(np.float32)),
+            "tint": torch.from_numpy(self._tints(size)),
         }
 
     def update(self, surprise: Float[np.ndarray, " B"]) -> None:
         """New |prediction - label| for the batch drawn last."""
         for i, value in zip(self._drawn, surprise, strict=True):
             self._priorities[i] = float(value) + self._floor
+
+    def _tints(self, size: int) -> Float[np.ndarray, "B 3 4"]:
+        """Of each channel: the shares of R, G and B that it is made of, and of white."""
+        tints = np.zeros((size, 3, 4), np.float32)
+        tints[:, :, :3] = np.eye(3)
+        if self._tint:
+            order = self._rng.permuted(np.tile(np.arange(3), (size, 1)), axis=1)
+            gain = self._rng.uniform(1 - self._tint, 1 + self._tint, (size, 3, 1))
+            tints[:, :, :3] = np.eye(3)[order] * gain
+            tints[:, :, 3] = self._rng.uniform(-self._tint / 2, self._tint / 2, (size, 3))
+        return tints
 
     def last_draw(self) -> dict[str, float]:
         """Of the batch drawn last: mean age in attempts, mean priority, and share of successes."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import lightning as L
 import numpy as np
 import torch
@@ -11,6 +13,7 @@ from see2act.modules.batchnorm import freeze
 from see2act.modules.network import TOGETHER, PixelNetwork
 from see2act.modules.rotation import Rotations
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 
 class AffordanceModule(L.LightningModule):
@@ -24,6 +27,8 @@ class AffordanceModule(L.LightningModule):
         head_lr: Adam's learning rate of the head.
         weight_decay: Adam's.
         batchnorm: ``frozen`` keeps running statistics, ``batch`` uses those of each replay batch.
+        averaging: Share of the past in the moving average of parameters that acts, a learning step further; 0 acts with
+            the last parameters. Single pixels make noisy gradients, and the average is the better model.
     """
 
     def __init__(
@@ -35,9 +40,11 @@ class AffordanceModule(L.LightningModule):
         head_lr: float,
         weight_decay: float,
         batchnorm: str,
+        averaging: float,
     ):
         super().__init__()
         self.network = network
+        self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging))
         self.rotations = Rotations(shape, angles, network.stride)
         self._rates = {"backbone": backbone_lr, "head": head_lr}
         self._weight_decay = weight_decay
@@ -46,14 +53,20 @@ class AffordanceModule(L.LightningModule):
         """|prediction - label| of the last batch, for the replay's priorities."""
         self.train()
 
+    @property
+    def acting(self) -> PixelNetwork:
+        """The network that decides: the average, once there was a learning step."""
+        return cast(PixelNetwork, self.average.module) if self.average.n_averaged else self.network
+
     @torch.no_grad()
     def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
         """Logits of success for every angle at every pixel of the heightmap, with frozen statistics."""
         training = self.training
         self.eval()
-        x = self.network.prepare(torch.from_numpy(color)[None], torch.from_numpy(height)[None])
+        network = self.acting
+        x = network.prepare(torch.from_numpy(color)[None], torch.from_numpy(height)[None])
         turned = self.rotations.all(x).split(TOGETHER)
-        maps = self.rotations.back(torch.cat([self.network(maps) for maps in turned]))
+        maps = self.rotations.back(torch.cat([network(maps) for maps in turned]))
         self.train(training)
         return maps.float().numpy()
 
@@ -65,19 +78,22 @@ class AffordanceModule(L.LightningModule):
         self.log("affordance/loss", loss)
         return loss
 
+    def on_train_batch_end(self, *_: Any) -> None:
+        self.average.update_parameters(self.network)
+
     def executed_logits(self, batch: dict[str, Tensor]) -> Float[Tensor, " B"]:
         """Logits at the executed pixels only; all others have zero loss (paper, section III-C).
 
         With frozen statistics the network runs on the window that the pixel depends on, which gives the same
         numbers. Statistics of the batch depend on every pixel, so there the whole canvas is used.
-        A batch may say which of its turned heightmaps to mirror.
+        A batch may say how to vary its heightmaps: by how much to turn and shift them about their pixels, which to
+        mirror, and how to recolour them.
         """
-        x = self.network.prepare(batch["color"], batch["height"])
-        angle, row, col = batch["angle"], batch["row"], batch["col"]
-        if self._frozen:
-            x, row, col = self.rotations.window(x, angle, row, col, self.network.reach)
-        else:
-            x, (row, col) = self.rotations.turned(x, angle), self.rotations.locate(angle, row, col)
+        color = _tinted(batch["color"], batch["tint"]) if "tint" in batch else batch["color"]
+        x = self.network.prepare(color, batch["height"])
+        reach = self.network.reach if self._frozen else max(self.rotations.canvas)
+        pixel = batch["angle"], batch["row"], batch["col"]
+        x, row, col = self.rotations.window(x, *pixel, reach, batch.get("turn"), batch.get("shift"))
         if "mirror" in batch:
             x, row, col = _mirrored(x, row, col, batch["mirror"])
         if self._frozen:
@@ -87,6 +103,7 @@ class AffordanceModule(L.LightningModule):
 
     def train(self, mode: bool = True) -> AffordanceModule:
         super().train(mode)
+        self.average.eval()
         if self._frozen:
             freeze(self.network)
         return self
@@ -94,6 +111,12 @@ class AffordanceModule(L.LightningModule):
     def configure_optimizers(self) -> torch.optim.Optimizer:
         groups = [{"params": getattr(self.network, part).parameters(), "lr": lr} for part, lr in self._rates.items()]
         return torch.optim.Adam(groups, weight_decay=self._weight_decay)
+
+
+def _tinted(color: UInt8[Tensor, "B H W 3"], tint: Float[Tensor, "B 3 4"]) -> UInt8[Tensor, "B H W 3"]:
+    """Each channel a mixture of all, the fourth number a share of white."""
+    mixed = torch.einsum("bhwc,bkc->bhwk", color.float(), tint[:, :, :3]) + 255 * tint[:, None, None, :, 3]
+    return mixed.round().clamp(0, 255).to(torch.uint8)
 
 
 def _mirrored(x: Tensor, row: Tensor, col: Tensor, mirror: Bool[Tensor, "B 2"]) -> tuple[Tensor, Tensor, Tensor]:

@@ -83,12 +83,27 @@ class Rotations:
         return warp(x, self._grid[angle])
 
     def window(
-        self, x: Float[Tensor, "B 4 H W"], angle: Int[Tensor, " B"], row: Int[Tensor, " B"], col: Int[Tensor, " B"], reach: int
+        self,
+        x: Float[Tensor, "B 4 H W"],
+        angle: Int[Tensor, " B"],
+        row: Int[Tensor, " B"],
+        col: Int[Tensor, " B"],
+        reach: int,
+        turn: Float[Tensor, " B"] | None = None,
+        shift: Float[Tensor, "B 2"] | None = None,
     ) -> tuple[Float[Tensor, "B 4 k k"], Tensor, Tensor]:
         """The part of each turned heightmap that its pixel's logit depends on.
 
         The window is aligned to the stride and stays on the canvas, so a network whose statistics are fixed gives
         the same logit, and the same gradient, as on the whole canvas.
+
+        Args:
+            x: Prepared input.
+            angle: Its index.
+            row, col: The pixel on the heightmap.
+            reach: Of the network; at least as large as the canvas for all of it.
+            turn: Radians by which the canvas is turned further, about the pixel.
+            shift: Rows and columns of the canvas by which what is beside the pixel is taken for it.
 
         Returns:
             Windows, and the pixel's row and column within each.
@@ -98,15 +113,26 @@ class Rotations:
         height, width = (min(side, n) for n in self.canvas)
         top = self._start(rows, height, self.canvas[0], reach)
         left = self._start(cols, width, self.canvas[1], reach)
-        parts = [
-            self._grid[a, t : t + height, k : k + width]
-            for a, t, k in zip(angle.tolist(), top.tolist(), left.tolist(), strict=True)
-        ]
-        return warp(x, torch.stack(parts)), rows - top, cols - left
+        rows, cols = rows - top, cols - left
+        corner = torch.stack([top, left], dim=1)
+        turn = torch.zeros(len(x)) if turn is None else turn
+        shift = torch.zeros(len(x), 2) if shift is None else shift
+        grid = self._grid_about(torch.stack([rows, cols], dim=1), corner, (height, width), angle, turn, shift)
+        return warp(x, grid), rows, cols
 
     def _start(self, position: Tensor, size: int, extent: int, reach: int) -> Tensor:
         aligned = (position - reach).div(self.stride, rounding_mode="floor") * self.stride
         return aligned.clamp(0, extent - size)
+
+    def _grid_about(
+        self, pixel: Tensor, corner: Tensor, size: tuple[int, int], angle: Tensor, turn: Tensor, shift: Tensor
+    ) -> Float[Tensor, "B h w 2"]:
+        """Of windows of ``size`` at ``corner`` of the canvas, turned about their ``pixel`` and shifted."""
+        within = pixel - (torch.tensor(size) - 1) / 2
+        v, u = (pixel + corner - (torch.tensor(self.canvas) - 1) / 2 + shift).T
+        c, s = torch.cos(turn), torch.sin(turn)
+        there = torch.stack([c * v + s * u, c * u - s * v], dim=1)
+        return sampling_grid(self.angles[angle] + turn, self.shape, size, there - within)
 
     def _forward_index(self) -> tuple[Tensor, Tensor]:
         v = torch.arange(self.shape[0])[None, :, None] - (self.shape[0] - 1) / 2

@@ -20,6 +20,10 @@ OLD_HEAD = re.compile(r"^head\.conv\.(weight|bias)$")
 """Keys of torchvision's older detectors, which lack the index of the convolution in its block."""
 
 
+class NotDownloaded(TransferError):
+    """Weights that are neither on this machine nor within its reach."""
+
+
 @dataclass(frozen=True)
 class OffTheShelf:
     """torchvision's weights, and what they need beside themselves.
@@ -41,7 +45,8 @@ class OffTheShelf:
         Statistics of the input are of RGB alone, (3,); those of the height are the caller's.
 
         Raises:
-            TransferError: The file cannot be read, or there is neither file nor network.
+            TransferError: The file cannot be read.
+            NotDownloaded: There is neither file nor network.
         """
         state = to_our_keys(read(Path(file)) if file else self._download())
         if "normalization.mean" in state:
@@ -58,7 +63,7 @@ class OffTheShelf:
             state: Mapping[str, Tensor] = weights.get_state_dict(progress=False, check_hash=True)
         except (OSError, RuntimeError) as error:
             name = weights.url.rsplit("/", 1)[1]
-            raise TransferError(
+            raise NotDownloaded(
                 f"{self.weights} cannot be downloaded here ({error}): bring {name} from another machine and put it into "
                 f"{Path(torch.hub.get_dir()) / 'checkpoints'}, or name it with task.weights=FILE"
             ) from None

@@ -16,7 +16,7 @@ def _module(angles: int, batchnorm: str = "frozen") -> AffordanceModule:
         layer.running_mean.normal_(0, 0.3)
         layer.running_var.uniform_(0.5, 2)
     network.normalization.set(torch.full((4,), 0.3), torch.full((4,), 0.5))
-    return AffordanceModule(network, (144, 144), angles, 1e-4, 1e-4, 0.0, batchnorm)
+    return AffordanceModule(network, (144, 144), angles, 1e-4, 1e-4, 0.0, batchnorm, 0.9)
 
 
 def _batch(angles: int, n: int = 6) -> dict[str, torch.Tensor]:
@@ -113,11 +113,38 @@ def test_learning_moves_each_tried_pixel_towards_its_outcome() -> None:
         optimizer.zero_grad()
         module.training_step(batch, 0).backward()
         optimizer.step()
+        module.on_train_batch_end()
     assert torch.equal(module.executed_logits(batch) > 0, batch["label"] > 0.5)
 
 
 def test_backbone_and_head_have_their_own_rates() -> None:
-    module = AffordanceModule(FCN7(4), (144, 144), 1, 1e-5, 1e-3, 0.0, "frozen")
+    module = AffordanceModule(FCN7(4), (144, 144), 1, 1e-5, 1e-3, 0.0, "frozen", 0.9)
     groups = module.configure_optimizers().param_groups
     assert [group["lr"] for group in groups] == [1e-5, 1e-3]
-    assert sum(len(group["params"]) for group in groups) == len(list(module.parameters()))
+    assert sum(len(group["params"]) for group in groups) == len(list(module.network.parameters()))
+
+
+def test_the_average_acts_and_the_last_parameters_learn() -> None:
+    module = _module(1)
+    assert module.acting is module.network
+    head = module.network.head[-2]
+    for value in (1.0, 3.0):
+        torch.nn.init.constant_(head.bias, value)
+        module.on_train_batch_end()
+    assert module.acting.head[-2].bias.item() == pytest.approx(0.9 * 1 + 0.1 * 3)
+    scene = np.zeros((144, 144, 3), np.uint8), np.zeros((144, 144), np.float32)
+    averaged = module.affordances(*scene)
+    module.average.module.load_state_dict(module.network.state_dict())
+    assert module.affordances(*scene) == pytest.approx(averaged + 1.8, abs=1e-4)
+    assert not any(p.grad is not None for p in module.average.parameters())
+
+
+def test_tints_mix_channels() -> None:
+    module, batch = _module(1), _batch(1)
+    swapped = {**batch, "color": (batch["color"].flip(3).float() * 0.5).round().to(torch.uint8)}
+    tint = torch.zeros(6, 3, 4)
+    tint[:, [0, 1, 2], [2, 1, 0]] = 0.5
+    assert torch.allclose(module.executed_logits({**batch, "tint": tint}), module.executed_logits(swapped), atol=1e-4)
+    white = {**batch, "color": torch.full_like(batch["color"], 255)}
+    tint[:, :, 3] = 2.0
+    assert torch.allclose(module.executed_logits({**batch, "tint": tint}), module.executed_logits(white), atol=1e-4)

@@ -75,3 +75,27 @@ def test_windows_stay_on_the_canvas_and_hold_their_pixel() -> None:
     assert torch.equal(windows[n, :, i, j], turned[n, :, rows, cols])
     assert ((rows - i) % 4 == 0).all()
     assert ((cols - j) % 4 == 0).all()
+
+
+@pytest.mark.parametrize("turn", [-0.7, 0.098, 3.1])
+def test_a_window_turns_about_its_pixel(turn: float) -> None:
+    """What is at the pixel stays there; a bar that leans by the turn becomes horizontal."""
+    angle, row, col = torch.tensor([5]), torch.tensor([60]), torch.tensor([80])
+    x = torch.zeros(1, 4, 144, 144)
+    lean = float(GRASP.angles[5]) + turn
+    for t in torch.linspace(-30, 30, 300):
+        x[0, 3, round(float(60 - t * math.sin(lean))), round(float(80 + t * math.cos(lean)))] = 1
+    window, i, j = GRASP.window(x, angle, row, col, 48, torch.tensor([turn]))
+    assert window[0, 3, i - 1 : i + 2, j].max() == 1
+    assert (window[0, 3].sum(1) > 0).sum() <= 4
+    plain, *_ = GRASP.window(x, angle, row, col, 48)
+    assert (plain[0, 3].sum(1) > 0).sum() > 4 or abs(turn) > 3
+
+
+def test_a_window_is_shifted_along_the_canvas() -> None:
+    suction = Rotations((144, 144), 1, 4)
+    x = torch.randn(1, 4, 144, 144)
+    pixel = torch.tensor([0]), torch.tensor([60]), torch.tensor([80])
+    window, i, j = suction.window(x, *pixel, 48, None, torch.tensor([[2.0, -3.0]]))
+    assert torch.allclose(window[0, :, i.item(), j.item()], x[0, :, 62, 77], atol=1e-3)
+    assert torch.allclose(window[0, :, i.item() + 5, j.item() + 7], x[0, :, 67, 84], atol=1e-3)

@@ -146,7 +146,7 @@ def test_epsilon_travels_with_the_weights(detector: FasterRCNN, tmp_path: Path) 
 def test_smaller_backbones_have_the_same_interface(name: str) -> None:
     network = RPN(name).eval()
     assert network(torch.randn(2, 4, 144, 160)).shape == (2, 1, 144, 160)
-    module = AffordanceModule(network, (144, 144), 16, 1e-4, 1e-4, 0.0, "frozen")
+    module = AffordanceModule(network, (144, 144), 16, 1e-4, 1e-4, 0.0, "frozen", 0.9)
     assert module.rotations.canvas == (224, 224)
 
 

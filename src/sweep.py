@@ -1,0 +1,86 @@
+"""What is special about jobs of a sweep: they may make no sense, be finished elsewhere, or fail without ending the others."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+from see2act.results import versions
+
+log = logging.getLogger("see2act")
+SKIPPED, MISSING, FAILED, OTHER = "skipped.txt", "missing.txt", "failed.txt", "other_version.txt"
+"""Notes that a job leaves in its folder: one line each."""
+TOLD = {
+    SKIPPED: "combinations were skipped, since they make no sense",
+    MISSING: "jobs were skipped, since their weights are not here",
+    OTHER: "runs were finished by another version of the code, and are not run again: force=true runs them anew",
+    FAILED: "jobs FAILED, and run again when the same sweep is started again",
+}
+
+
+class Summary(Callback):
+    """Says at the end of a sweep what was not run, and why.
+
+    Hydra makes one for the whole sweep and one in each job.
+    """
+
+    failures = 0
+    """Jobs of this process's sweep that failed."""
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        """Hydra calls this before the first job."""
+        self._start = time.time()
+
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        """Hydra calls this after the last job. Jobs run in processes of their own, so they leave notes."""
+        folder = Path(config.hydra.sweep.dir)
+        for name, words in TOLD.items():
+            notes = [note for note in sorted(folder.rglob(name)) if note.stat().st_mtime >= self._start]
+            lines = [f"{note.parent.relative_to(folder)}: {note.read_text()}" for note in notes]
+            if name == SKIPPED:  # once for all seeds and hashes
+                lines = sorted({note.read_text() for note in notes})
+            if lines:
+                log.info("%d %s:\n  %s", len(lines), words, "\n  ".join(lines))
+            if name == FAILED:
+                Summary.failures = len(lines)
+
+
+def note(folder: Path, name: str, text: str) -> None:
+    """Leave a note of one line in a job's folder."""
+    (folder / name).write_text(" ".join(text.split()))
+
+
+def clear_notes(folder: Path) -> None:
+    """Remove those of an earlier try."""
+    for name in TOLD:
+        (folder / name).unlink(missing_ok=True)
+
+
+def finished_elsewhere(folder: Path, sweep: Path) -> Path | None:
+    """The same run, finished by this version of the code in another experiment's sweep.
+
+    None where there is none, or where this folder has begun its own.
+    """
+    if any((folder / name).exists() for name in ("run.json", "result.json")):
+        return None
+    others = sorted(sweep.parent.glob(f"*/{folder.absolute().relative_to(sweep)}/result.json"))
+    return next((result.parent for result in others if not result.is_symlink() and of_this_version(result)), None)
+
+
+def link(twin: Path, folder: Path) -> None:
+    """Make everything a finished run left appear in ``folder`` too."""
+    for path in sorted(twin.iterdir(), key=lambda path: path.name == "result.json"):  # which means done, so it comes last
+        if not path.name.startswith(".") and path.name not in TOLD and not (folder / path.name).exists():
+            (folder / path.name).symlink_to(os.path.relpath(path, folder))
+    log.info("the same run is finished in %s: linked, not run again", twin)
+
+
+def of_this_version(result: Path) -> bool:
+    """Whether the run of a ``result.json`` was made by this code and these packages."""
+    return bool(json.loads(result.read_text())["versions"] == versions())
