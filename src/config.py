@@ -54,9 +54,6 @@ class TransferConfig:
     name: str = MISSING
     parts: list[str] = field(default_factory=list)
     finetune: bool = True
-    backbone_lr: float = 0.0
-    """Adam's learning rate of the backbone while fine-tuning: what was learned before wants smaller steps."""
-    head_lr: float = 0.0
 
 
 @dataclass

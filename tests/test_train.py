@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -38,8 +39,12 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _command(folder: Path, cache: Path, *overrides: str) -> list[str]:
-    width = () if "model=rpn_r50_fpn" in overrides else ("model.width=4",)
-    return [sys.executable, str(TRAIN), *TINY, *width, f"hydra.run.dir={folder}", f"paths.cache={cache}", *overrides]
+    where = (f"hydra.run.dir={folder}", f"paths.cache={cache}")
+    return [sys.executable, str(TRAIN), *TINY, *_width(overrides), *where, *overrides]
+
+
+def _width(overrides: tuple[str, ...]) -> tuple[str, ...]:
+    return () if "model=rpn_r50_fpn" in overrides else ("model.width=4",)
 
 
 def _train(folder: Path, cache: Path, *overrides: str) -> str:
@@ -247,33 +252,91 @@ def test_a_report_reads_what_a_run_leaves(run: tuple[Path, str], tmp_path: Path)
     assert len(list((tmp_path / "runs" / "figures").glob("*.png"))) == 5  # there is nothing to compare with
 
 
-def test_a_sweep_skips_cells_that_make_no_sense(tmp_path: Path, cache: Path) -> None:
-    command = [
-        sys.executable,
-        str(TRAIN),
-        "-m",
-        *TINY,
-        "model.width=4",
-        "logger=none",
-        f"paths.cache={cache}",
-        "task=none,normal",
-        "transfer=none,fixed",
-    ]
-    done = subprocess.run(
-        [*command, "finetune.attempts=0", f"hydra.sweep.dir={tmp_path}/sweep"],
-        capture_output=True,
-        text=True,
-        timeout=500,
-        cwd=tmp_path,
-    )
+def _sweep(folder: Path, cache: Path, *overrides: str) -> list[str]:
+    few = ("logger=none", "finetune.attempts=0", f"paths.cache={cache}", f"hydra.sweep.dir={folder}")
+    return [sys.executable, str(TRAIN), "-m", *TINY, *few, *_width(overrides), *overrides]
+
+
+def _swept(folder: Path, cache: Path, *overrides: str) -> subprocess.CompletedProcess:
+    command = _sweep(folder, cache, *overrides)
+    return subprocess.run(command, capture_output=True, text=True, timeout=500, cwd=folder.parent)
+
+
+def test_a_sweep_skips_cells_that_make_no_sense_and_links_runs(tmp_path: Path, cache: Path) -> None:
+    cells = ("task=none,normal", "transfer=none,fixed")
+    done = _swept(tmp_path / "sweep", cache, *cells)
     assert done.returncode == 0, done.stderr[-3000:]
     assert len(list(tmp_path.glob("sweep/**/result.json"))) == 2
     assert "2 combinations were skipped" in done.stdout.splitlines()[-3]
-    again = [*command, "finetune.attempts=0", f"hydra.sweep.dir={tmp_path}/other", "cells=[suction/normal/fixed]"]
-    done = subprocess.run(again, capture_output=True, text=True, timeout=500, cwd=tmp_path)
+    done = _swept(tmp_path / "other", cache, *cells, "cells=[suction/normal/fixed]")
     assert done.returncode == 0, done.stderr[-3000:]
     assert "were skipped" not in done.stdout
     linked = list(tmp_path.glob("other/**/result.json"))
     assert [path.is_symlink() for path in linked] == [True]
     assert json.loads(linked[0].read_text())["choices"]["task"] == "normal"
     assert (linked[0].parent / "figures" / "heatmaps.png").exists()
+
+    # Of another version of the code it is named, and neither linked nor run again.
+    original = linked[0].resolve()
+    result = json.loads(original.read_text())
+    result["versions"]["code"] = "of yesterday"
+    original.write_text(json.dumps(result))
+    done = _swept(tmp_path / "sweep", cache, *cells, "cells=[suction/normal/fixed]")
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "1 runs were finished by another version of the code" in done.stdout
+    assert json.loads(original.read_text()) == result
+
+
+def test_one_job_that_fails_does_not_end_the_others(tmp_path: Path, cache: Path) -> None:
+    cells = (
+        "task=none,imagenet",
+        "transfer=none,backbone",
+        "model=rpn_r50_fpn",
+        "model.backbone=resnet18",
+        "evaluate.runs=0,1",
+    )
+    done = _swept(tmp_path / "sweep", cache, *cells)
+    assert done.returncode == 1
+    assert len(list(tmp_path.glob("sweep/**/result.json"))) == 1
+    assert "2 jobs FAILED" in done.stdout
+    assert "evaluate.runs=0 is too small: it must be at least 1" in done.stdout
+    assert "1 jobs were skipped, since their weights are not here" in done.stdout
+    assert "IMAGENET1K_V1 cannot be downloaded here" in done.stdout
+
+
+def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, cache: Path) -> None:
+    """Four cells, two at once; killed when the first is done. Nothing that was finished is run again."""
+    overrides = ("task=none", "transfer=none", "seed=0,1,2,3", "finetune.attempts=4", "hydra.launcher.n_jobs=2")
+    sweep = tmp_path / "sweep"
+    process = subprocess.Popen(_sweep(sweep, cache, *overrides), cwd=tmp_path, start_new_session=True)
+    try:
+        while not (done := list(sweep.rglob("result.json"))):
+            assert process.poll() is None
+            time.sleep(0.2)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    assert len(done) < 4
+    before = {path: path.stat().st_mtime_ns for path in done}
+    again = _swept(sweep, cache, *overrides)
+    assert again.returncode == 0, again.stderr[-3000:]
+    assert len(list(sweep.rglob("result.json"))) == 4
+    assert {path: path.stat().st_mtime_ns for path in done} == before
+
+
+def test_ctrl_c_ends_a_sweep_promptly(tmp_path: Path, cache: Path) -> None:
+    overrides = ("task=none", "transfer=none", "seed=0,1,2,3", "finetune.attempts=400", "hydra.launcher.n_jobs=2")
+    sweep = tmp_path / "sweep"
+    process = subprocess.Popen(_sweep(sweep, cache, *overrides), cwd=tmp_path, start_new_session=True)
+    try:
+        while len(list(sweep.rglob("attempts.csv"))) < 2:
+            assert process.poll() is None
+            time.sleep(0.2)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        assert process.wait(timeout=20) != 0
+        rows = [path.stat().st_size for path in sweep.rglob("attempts.csv")]
+        time.sleep(3)
+        assert [path.stat().st_size for path in sweep.rglob("attempts.csv")] == rows  # nobody goes on working
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
