@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
+from see2act.modules.tint import tints
 from torch import Tensor
 
 COLUMNS = ("angle", "row", "col", "label")
@@ -86,24 +87,13 @@ class Replay:
             "mirror": torch.from_numpy((self._rng.random((size, 2)) < 0.5) & self._mirror),
             "turn": torch.from_numpy(self._rng.uniform(-self._turn, self._turn, size).astype(np.float32)),
             "shift": torch.from_numpy(self._rng.uniform(-self._shift, self._shift, (size, 2)).astype(np.float32)),
-            "tint": torch.from_numpy(self._tints(size)),
+            "tint": tints(size, self._tint, torch.Generator().manual_seed(int(self._rng.integers(2**63)))),
         }
 
     def update(self, surprise: Float[np.ndarray, " B"]) -> None:
         """New |prediction - label| for the batch drawn last."""
         for i, value in zip(self._drawn, surprise, strict=True):
             self._priorities[i] = float(value) + self._floor
-
-    def _tints(self, size: int) -> Float[np.ndarray, "B 3 4"]:
-        """Of each channel: the shares of R, G and B that it is made of, and of white."""
-        tints = np.zeros((size, 3, 4), np.float32)
-        tints[:, :, :3] = np.eye(3)
-        if self._tint:
-            order = self._rng.permuted(np.tile(np.arange(3), (size, 1)), axis=1)
-            gain = self._rng.uniform(1 - self._tint, 1 + self._tint, (size, 3, 1))
-            tints[:, :, :3] = np.eye(3)[order] * gain
-            tints[:, :, 3] = self._rng.uniform(-self._tint / 2, self._tint / 2, (size, 3))
-        return tints
 
     def last_draw(self) -> dict[str, float]:
         """Of the batch drawn last: mean age in attempts, mean priority, and share of successes."""

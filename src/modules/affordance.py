@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 from see2act.modules.batchnorm import freeze
 from see2act.modules.network import TOGETHER, PixelNetwork
 from see2act.modules.rotation import Rotations
+from see2act.modules.tint import tinted
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -89,7 +90,7 @@ class AffordanceModule(L.LightningModule):
         A batch may say how to vary its heightmaps: by how much to turn and shift them about their pixels, which to
         mirror, and how to recolour them.
         """
-        color = _tinted(batch["color"], batch["tint"]) if "tint" in batch else batch["color"]
+        color = tinted(batch["color"], batch["tint"]) if "tint" in batch else batch["color"]
         x = self.network.prepare(color, batch["height"])
         reach = self.network.reach if self._frozen else max(self.rotations.canvas)
         pixel = batch["angle"], batch["row"], batch["col"]
@@ -111,12 +112,6 @@ class AffordanceModule(L.LightningModule):
     def configure_optimizers(self) -> torch.optim.Optimizer:
         groups = [{"params": getattr(self.network, part).parameters(), "lr": lr} for part, lr in self._rates.items()]
         return torch.optim.Adam(groups, weight_decay=self._weight_decay)
-
-
-def _tinted(color: UInt8[Tensor, "B H W 3"], tint: Float[Tensor, "B 3 4"]) -> UInt8[Tensor, "B H W 3"]:
-    """Each channel a mixture of all, the fourth number a share of white."""
-    mixed = torch.einsum("bhwc,bkc->bhwk", color.float(), tint[:, :, :3]) + 255 * tint[:, None, None, :, 3]
-    return mixed.round().clamp(0, 255).to(torch.uint8)
 
 
 def _mirrored(x: Tensor, row: Tensor, col: Tensor, mirror: Bool[Tensor, "B 2"]) -> tuple[Tensor, Tensor, Tensor]:
