@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
-from see2act.config import ConfigError, config_hash, illegal_cell, validate
+from see2act.config import ConfigError, composed, config_hash, illegal_cell, validate
 from see2act.main import _check, _move_aside, identity, refuse_foreign
+from see2act.results import versions
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 TASKS = ("none", "edge", "corner", "center", "foreground", "normal")
@@ -139,7 +140,7 @@ def test_a_refusal_ends_the_program_without_work(tmp_path: Path) -> None:
 def test_a_folder_of_another_run_is_refused(config: Callable, tmp_path: Path) -> None:
     cfg = config("seed=1")
     refuse_foreign(tmp_path, cfg)
-    (tmp_path / "run.json").write_text(json.dumps(identity(cfg)))
+    (tmp_path / "run.json").write_text(json.dumps(identity(cfg) | {"versions": versions()}))
     refuse_foreign(tmp_path, cfg)
     for other in (("seed=2",), ("seed=1", "task=normal")):
         with pytest.raises(ConfigError, match=r"holds a run of another configuration.*hydra\.run\.dir="):
@@ -207,3 +208,18 @@ def test_cells_of_experiments_make_sense(config: Callable[..., DictConfig], expe
     for cell in cfg.cells:
         primitive, task, transfer = cell.split("/")
         validate(config(f"experiment={experiment}", f"primitive={primitive}", f"task={task}", f"transfer={transfer}"))
+
+
+def test_half_a_run_of_another_version_is_not_continued(tmp_path: Path) -> None:
+    cfg = composed(["seed=3"])
+    begun = identity(cfg) | {"versions": versions()}
+    (tmp_path / "run.json").write_text(json.dumps(begun))
+    refuse_foreign(tmp_path, cfg)
+    (tmp_path / "run.json").write_text(json.dumps(begun | {"versions": {**versions(), "code": "of yesterday"}}))
+    with pytest.raises(ConfigError, match="force=true moves it aside"):
+        refuse_foreign(tmp_path, cfg)
+    refuse_foreign(tmp_path, composed(["seed=3", "force=true"]))
+    (tmp_path / "result.json").touch()  # a finished one is only looked at
+    refuse_foreign(tmp_path, cfg)
+    with pytest.raises(ConfigError, match="another configuration"):
+        refuse_foreign(tmp_path, composed(["seed=4"]))

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
+from see2act import cache
 from see2act.cache import once
 from see2act.files import replacing, write_json
 
@@ -54,3 +55,18 @@ def test_a_failed_make_is_made_again(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="disk full"):
         once(tmp_path / "thing", fail)
     assert once(tmp_path / "thing", lambda: write_json(tmp_path / "thing", 1))
+
+
+def test_the_version_of_code_is_what_it_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "SOURCES", tmp_path)
+    hashes = []
+    for source in (
+        '"""Adds."""\ndef f(x):\n    return x + 1\n',
+        "def f(x):\n    # one more\n    return (x + 1)\n",
+        "def f(x):\n    return x + 2\n",
+    ):
+        (tmp_path / "a.py").write_text(source)
+        hashes.append(cache.code_hash("a.py"))
+    assert hashes[0] == hashes[1] != hashes[2]
+    (tmp_path / "a.py").rename(tmp_path / "b.py")
+    assert cache.code_hash("b.py") != hashes[2]
