@@ -33,6 +33,8 @@ TALLEST = 0.12
 """Metres at the bright end of the height pictures."""
 JAWS = 0.043
 """Metres from the middle of the open gripper to a pad."""
+SHOWN = 4
+"""Failures of a cause."""
 ABOVE_FLOOR = 0.01
 """Metres: a pick above is on an object, or a wall."""
 
@@ -130,7 +132,7 @@ def failures(failed: list[Attempt], affordances: Affordances, robot: Robot, titl
     """Failed attempts sorted by cause, a row each: the heightmap with the pick, and the heatmap of its angle.
 
     Args:
-        failed: At least one; the first four of each cause are shown.
+        failed: At least one; the first :data:`SHOWN` of each cause are shown.
         affordances: The model that chose them.
         robot: For its jaws and workspace.
         title: Over the figure.
@@ -139,11 +141,12 @@ def failures(failed: list[Attempt], affordances: Affordances, robot: Robot, titl
     by_cause: dict[str, list[Attempt]] = {}
     for one in failed:
         by_cause.setdefault(one.outcome.cause, []).append(one)
-    figure, grid = plt.subplots(len(by_cause), 8, figsize=(20, 2.8 * len(by_cause)), squeeze=False)
+    pairs = min(SHOWN, max(len(attempts) for attempts in by_cause.values()))
+    figure, grid = plt.subplots(len(by_cause), 2 * pairs, figsize=(5 * pairs, 0.6 + 2.8 * len(by_cause)), squeeze=False)
     for axes, (cause, attempts) in zip(grid, sorted(by_cause.items()), strict=True):
         for axis in axes:
             axis.axis("off")
-        for k, one in enumerate(attempts[:4]):
+        for k, one in enumerate(attempts[:SHOWN]):
             heightmap, choice = one.heightmap, one.choice
             caption = f"{cause}, {len(attempts)} of {len(failed)} failures" if k == 0 else ""
             _picture(axes[2 * k], heightmap, one.pick, robot, caption)
