@@ -61,7 +61,7 @@ def compared(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def main() -> None:
     """The command."""
     parser = arguments(__doc__)
-    parser.add_argument("--runs", type=at_least_one, default=12, metavar="N", help="test runs a split (default 12)")
+    parser.add_argument("--runs", type=at_least_one, default=15, metavar="N", help="test runs a split (default 15)")
     parser.add_argument("--primitives", nargs="+", choices=PRIMITIVES, default=PRIMITIVES)
     parser.add_argument("--settings", nargs="+", choices=list(SETTINGS)[1:], default=list(SETTINGS)[1:])
     args = parser.parse_args()
