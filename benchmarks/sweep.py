@@ -39,7 +39,7 @@ def _sweep(folder: Path, cache: Path, workers: int, jobs: int, overrides: list[s
     ended = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     done = len(list(folder.rglob("result.json")))
     if done != jobs:
-        raise RuntimeError(f"{done} of {jobs} jobs of the sweep were finished: {ended.stderr[-2000:]}")
+        raise RuntimeError(f"{done} of {jobs} jobs of the sweep were finished: {(ended.stdout + ended.stderr)[-2000:]}")
 
 
 if __name__ == "__main__":

@@ -327,7 +327,10 @@ def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, cache: Path) -> None:
 def test_ctrl_c_ends_a_sweep_promptly(tmp_path: Path, cache: Path) -> None:
     overrides = ("task=none", "transfer=none", "seed=0,1,2,3", "finetune.attempts=400", "hydra.launcher.n_jobs=2")
     sweep = tmp_path / "sweep"
-    process = subprocess.Popen(_sweep(sweep, cache, *overrides), cwd=tmp_path, start_new_session=True)
+    # Whoever runs the tests in the background ignores SIGINT, and so would the sweep.
+    process = subprocess.Popen(
+        ["env", "--default-signal=INT", *_sweep(sweep, cache, *overrides)], cwd=tmp_path, start_new_session=True
+    )
     try:
         while len(list(sweep.rglob("attempts.csv"))) < 2:
             assert process.poll() is None
