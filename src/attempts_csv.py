@@ -14,22 +14,8 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     *("phase", "split", "policy", "run", "step", "episode", "scene_seed", "primitive"),
-    *(
-        "row",
-        "col",
-        "angle",
-        "x",
-        "y",
-        "z",
-        "score",
-        "explore",
-        "entropy",
-        "success",
-        "truth",
-        "cause",
-        "lost",
-        "robot_seconds",
-    ),
+    *("row", "col", "angle", "x", "y", "z", "score", "explore", "entropy"),
+    *("success", "truth", "cause", "lost", "robot_seconds"),
     *("t_observe", "t_decide", "t_act", "t_learn", "t_total"),
 )
 TIMES = COLUMNS[-5:]

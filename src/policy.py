@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 from scipy.special import expit
 from see2act.robot.types import Heightmap
 
@@ -91,12 +92,10 @@ class Policy:
         if temperature > 0:
             assert rng is not None, "exploring needs a generator"
             scores = np.where(allowed, expit(logits.astype(np.float64)), -np.inf).ravel()
-            below = (scores - scores.max()) / temperature
-            weights = np.exp(below)
+            weights = np.exp((scores - scores.max()) / temperature)
             cumulative = np.cumsum(weights)
-            total = cumulative[-1]
-            index = int(np.searchsorted(cumulative, rng.random() * total, side="right"))
-            entropy = float(np.log(total) - (weights[weights > 0] * below[weights > 0]).sum() / total)
+            index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
+            entropy = float(stats.entropy(weights))
         angle, row, col = (int(i) for i in np.unravel_index(index, logits.shape))
         return Choice(angle, row, col, float(logits[angle, row, col]), index != best, entropy)
 

@@ -195,7 +195,9 @@ def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
     _train(tmp_path / "none", cache, "logger=tensorboard", "task=none", "transfer=none", "finetune.attempts=2")
     assert not json.loads((tmp_path / "none" / "transfer.json").read_text())["copied"]
     assert not (tmp_path / "none" / "checkpoints" / "vision.ckpt").exists()
-    _train(tmp_path / "fixed", cache, "logger=none", "task=normal", "transfer=fixed")
+    assert list((tmp_path / "none").rglob("events.out.tfevents.*"))
+    _train(tmp_path / "fixed", cache, "logger=csv", "task=normal", "transfer=fixed")
+    assert list((tmp_path / "fixed").rglob("metrics.csv"))
     result = json.loads((tmp_path / "fixed" / "result.json").read_text())
     assert result["eval"]["repeated"] is True
     assert result["eval"]["seen"] == result["zero_shot"]["seen"]
