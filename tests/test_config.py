@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import subprocess
 import sys
@@ -10,12 +11,13 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_module
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from see2act.config import ConfigError, composed, config_hash, illegal_cell, validate
 from see2act.main import _check, _move_aside, identity, refuse_foreign
 from see2act.results import versions
 
 TRAIN = Path(__file__).parents[1] / "train.py"
+EXPERIMENTS = TRAIN.parent / "conf" / "experiment"
 TASKS = ("none", "edge", "corner", "center", "foreground", "normal")
 
 
@@ -202,12 +204,24 @@ def test_experiments_share_the_runs_they_have_in_common(config: Callable[..., Di
 
 
 @pytest.mark.parametrize("experiment", ["transfer_parts", "vision_tasks", "off_the_shelf", "smoke"])
-def test_cells_of_experiments_make_sense(config: Callable[..., DictConfig], experiment: str) -> None:
-    cfg = config(f"experiment={experiment}")
-    assert illegal_cell(cfg) is None
-    for cell in cfg.cells:
-        primitive, task, transfer = cell.split("/")
-        validate(config(f"experiment={experiment}", f"primitive={primitive}", f"task={task}", f"transfer={transfer}"))
+def test_experiments_reach_each_of_their_cells_once(config: Callable[..., DictConfig], experiment: str) -> None:
+    params = OmegaConf.load(EXPERIMENTS / f"{experiment}.yaml").hydra.sweeper.params
+    met = []
+    for primitive, task, transfer in itertools.product(*(params[key].split(",") for key in ("primitive", "task", "transfer"))):
+        cfg = config(f"experiment={experiment}", f"primitive={primitive}", f"task={task}", f"transfer={transfer}")
+        cell = f"{cfg.primitive.name}/{task}/{transfer}"
+        if cell in (cfg.cells or [cell]) and illegal_cell(cfg) is None:
+            validate(cfg)
+            met.append(cell)
+    assert len(set(met)) == len(met)
+    assert set(met) == set(cfg.cells or met)
+    assert {cell.split("/")[0] for cell in met} == {"suction", "grasp"}
+
+
+def test_off_the_shelf_gives_each_primitive_its_real_workspace(config: Callable[..., DictConfig]) -> None:
+    for primitive in ("suction", "grasp_rg2"):
+        cfg = config("experiment=off_the_shelf", f"primitive={primitive}")
+        assert (cfg.workspace.name, cfg.camera.name) == (f"{primitive}_real", "d415")
 
 
 def test_half_a_run_of_another_version_is_not_continued(tmp_path: Path) -> None:

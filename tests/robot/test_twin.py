@@ -22,12 +22,12 @@ def robot(make_robot: Callable[..., SimulatedRobot]) -> SimulatedRobot:
     return make_robot("workspace=suction_real", *REAL)
 
 
-@pytest.mark.parametrize(("workspace", "shape"), [("suction_real", (208, 288)), ("grasp_real", (400, 400))])
+@pytest.mark.parametrize(("workspace", "shape"), [("suction_real", (208, 288)), ("grasp_rg2_real", (400, 400))])
 def test_workspaces_are_the_paper_s(config: Callable, workspace: str, shape: tuple[int, int]) -> None:
     assert instantiate(config(f"workspace={workspace}").workspace).shape == shape
 
 
-@pytest.mark.parametrize(("workspace", "primitive"), [("suction_real", "suction"), ("grasp_real", "grasp_rg2")])
+@pytest.mark.parametrize(("workspace", "primitive"), [("suction_real", "suction"), ("grasp_rg2_real", "grasp_rg2")])
 def test_the_arm_reaches_all_of_them(make_robot: Callable[..., SimulatedRobot], workspace: str, primitive: str) -> None:
     robot = make_robot(f"workspace={workspace}", f"primitive={primitive}")
     rows, cols = robot.workspace.shape
@@ -81,7 +81,7 @@ def test_a_ray_meets_the_floor_where_the_camera_says(robot: SimulatedRobot) -> N
 
 
 def test_the_wide_gripper_opens_as_far_as_an_rg2_and_picks(make_robot: Callable[..., SimulatedRobot]) -> None:
-    robot = make_robot("workspace=grasp_real", "primitive=grasp_rg2", *REAL)
+    robot = make_robot("workspace=grasp_rg2_real", "primitive=grasp_rg2", *REAL)
     assert robot.tool.opening(0.0) == pytest.approx(0.110, abs=0.002)
     robot._build()
     robot._noise = np.random.default_rng(0)
