@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,6 +58,6 @@ class AttemptsCsv:
 
 
 def read(path: Path) -> list[dict[str, str]]:
-    """Complete rows of the file; one cut short by a kill is left out."""
-    with path.open(newline="") as file:
+    """Complete rows of the file, which may be compressed (.gz); one cut short by a kill is left out."""
+    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
         return [row for row in csv.DictReader(file) if row["t_total"] is not None]

@@ -24,10 +24,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, metavar="DIR", help="searched for runs, with all folders in it")
+    words = "also copy there what the report is made from, small enough for a repository"
+    parser.add_argument("--keep", type=Path, metavar="OUT", help=words)
     args = parser.parse_args(arguments)
     try:
         found = report(args.folder)
-    except ReportError as error:
+        if args.keep:
+            from see2act.report.keep import keep  # brings matplotlib, too
+
+            keep(found, args.keep)
+    except (ReportError, FileExistsError) as error:
         sys.exit(f"see2act: {error}")
     except PermissionError as error:
         sys.exit(

@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 import cv2
+import numpy as np
 from jinja2 import Environment, StrictUndefined
 from see2act.files import replacing
 from see2act.report import paper
@@ -20,11 +21,11 @@ from see2act.report.runs import SPLITS, Run
 from see2act.report.summary import Row, aggregates, comparisons
 
 GALLERY = {
-    "heatmaps.png": "heatmaps of the models, before and after",
-    "picks.png": "a pick on seen and on unseen objects",
-    "failures.png": "failed picks of the last evaluation, by cause",
+    "heatmaps": "heatmaps of the models, before and after",
+    "picks": "a pick on seen and on unseen objects",
+    "failures": "failed picks of the last evaluation, by cause",
 }
-"""Pictures of a run, and what they show."""
+"""Pictures of a run, and what they show: .png, or .jpg in runs that were kept."""
 OUTCOMES = {"zero_shot": "zero-shot", "eval": "after fine-tuning"}
 WIDEST = 1000
 """Pixels of a picture in the gallery."""
@@ -52,7 +53,7 @@ def write(found: Found, rows: list[Row], pictures: dict[str, list[Picture]], fol
         folder: Which was searched.
     """
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"data_uri": _data_uri, "command": command}
+    environment.filters |= {"data_uri": lambda path: _uri(path.read_bytes(), "image/png"), "command": command}
     template = environment.from_string(resources.files("see2act.report").joinpath("page.html.j2").read_text())
     page = template.render(
         found=found,
@@ -82,14 +83,36 @@ def _bench(bench: Bench, pictures: list[Picture], folder: Path) -> dict[str, Any
 
 
 def _specimen(arm: Arm, folder: Path) -> Specimen:
-    """The run with the lowest seed that has pictures: nobody chose it for its looks."""
-    run = next((run for run in arm.runs if any((run.folder / "figures" / name).is_file() for name in GALLERY)), arm.runs[0])
+    run = shown(arm)
     pictures = []
-    for name, words in GALLERY.items():
-        if uri := _thumbnail(run.folder / "figures" / name):
-            pictures.append({"uri": uri, "alt": f"{arm.primitive}, {arm.name}, seed {run.seed}: {words}", "caption": words})
+    for name, image in thumbnails(run).items():
+        words = GALLERY[name]
+        alt = f"{arm.primitive}, {arm.name}, seed {run.seed}: {words}"
+        pictures.append({"uri": _uri(image, "image/jpeg"), "alt": alt, "caption": words})
     video = run.folder / "video.mp4"
     return Specimen(arm, run, pictures, _link(video, folder) if video.is_file() else None, _outcome(run))
+
+
+def shown(arm: Arm) -> Run:
+    """The run with the lowest seed that has pictures: nobody chose it for its looks."""
+    return next((run for run in arm.runs if any(_picture(run, name) for name in GALLERY)), arm.runs[0])
+
+
+def thumbnails(run: Run) -> dict[str, bytes]:
+    """The pictures of a run that are whole, made small enough to embed: names without endings, and JPEG files."""
+    images = {name: cv2.imread(str(path)) for name in GALLERY if (path := _picture(run, name))}
+    return {name: _small(image) for name, image in images.items() if image is not None}
+
+
+def _picture(run: Run, name: str) -> Path | None:
+    paths = (run.folder / "figures" / f"{name}{suffix}" for suffix in (".png", ".jpg"))
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _small(image: np.ndarray) -> bytes:
+    scale = min(1.0, WIDEST / image.shape[1])
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 82])[1])
 
 
 def _outcome(run: Run) -> str:
@@ -140,16 +163,5 @@ def _link(path: Path, folder: Path) -> str:
     return quote(path.relative_to(folder).as_posix())
 
 
-def _data_uri(path: Path, kind: str = "image/png") -> str:
-    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
-
-
-def _thumbnail(path: Path) -> str | None:
-    """A picture made small enough to embed; None if there is none, or half of one."""
-    image = cv2.imread(str(path)) if path.is_file() else None
-    if image is None:
-        return None
-    scale = min(1.0, WIDEST / image.shape[1])
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 82])[1]
-    return f"data:image/jpeg;base64,{base64.b64encode(coded.tobytes()).decode()}"
+def _uri(data: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -227,7 +227,7 @@ def _overrides(folder: Path) -> tuple[str, ...] | None:
 
 def _attempts(folder: Path, place: str, result: dict[str, Any], notices: list[str]) -> list[dict[str, str]]:
     try:
-        rows = attempts_csv.read(folder / "attempts.csv")
+        rows = attempts_csv.read(attempts_of(folder))
         learned = [int(row["success"]) for row in rows if row["phase"] == "finetune"]
         for row in rows:
             float(row["robot_seconds"]), row["cause"], row["policy"], int(row["step"])
@@ -239,6 +239,12 @@ def _attempts(folder: Path, place: str, result: dict[str, Any], notices: list[st
         notices.append(f"{place}/attempts.csv does not belong to its result.json: robot time and causes leave this run out.")
         return []
     return rows
+
+
+def attempts_of(folder: Path) -> Path:
+    """Where the attempts of a run are: compressed in runs that were kept."""
+    packed = folder / "attempts.csv.gz"
+    return packed if packed.is_file() else folder / "attempts.csv"
 
 
 def _setting(result: dict[str, Any], config: DictConfig | None) -> dict[str, str]:

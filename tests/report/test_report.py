@@ -360,6 +360,27 @@ def test_the_same_runs_give_the_same_files(sweep: Path) -> None:
     assert [file.read_bytes() for file in files] == before
 
 
+def test_what_is_kept_gives_the_same_tables_and_page(sweep: Path, make_run: MakeRun, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    main([str(sweep), "--keep", str(kept)])
+    assert not (kept / "report.html").exists()
+    assert not list(kept.rglob("checkpoints"))
+    assert {path.suffix for path in kept.rglob("*.*") if path.is_file()} <= {".json", ".yaml", ".gz", ".jpg"}
+    main([str(kept)])
+    for name in ("table.csv", "table.md"):
+        assert (kept / name).read_bytes() == (sweep / name).read_bytes()
+    assert (kept / "report.html").read_text().count("<img") == (sweep / "report.html").read_text().count("<img")
+    drawn = {path.name for path in (sweep / "figures").iterdir()}
+    assert {path.name for path in (kept / "figures").iterdir()} == drawn
+
+    later = make_run(seed=77)
+    main([str(sweep), "--keep", str(kept)])  # what is there stays, what is new comes
+    assert (kept / later.relative_to(sweep) / "result.json").is_file()
+    (later / "result.json").write_text((later / "result.json").read_text() + " ")
+    with pytest.raises(SystemExit, match="holds another run"):
+        main([str(sweep), "--keep", str(kept)])
+
+
 def test_an_arm_says_how_to_run_it_again(sweep: Path, make_run: MakeRun) -> None:
     words = "python train.py -m task=normal transfer=full primitive=suction threads=1 seed=0,1,2"
     assert words in (sweep / "report.html").read_text()

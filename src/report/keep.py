@@ -1,0 +1,54 @@
+"""What a report is made from, small enough for a repository."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+from see2act.files import replacing
+from see2act.report import page
+from see2act.report.benches import Found
+from see2act.report.runs import Run, attempts_of
+from tqdm import tqdm
+
+SMALL = ("result.json", ".hydra/config.yaml", ".hydra/overrides.yaml")
+
+
+def keep(found: Found, folder: Path) -> None:
+    """Copy finished runs to ``folder``, so that a report of it has the same tables and figures.
+
+    Of each run: result, configuration and compressed attempts. Of each arm: the pictures of the run that the report shows.
+    Checkpoints and logs stay behind. Runs that ``folder`` has already are left as they are, so a sweep may be kept again
+    as it goes on.
+
+    Raises:
+        FileExistsError: ``folder`` has a different run at the same place.
+    """
+    for run in found.runs:
+        kept = folder / run.place / "result.json"
+        if kept.exists() and kept.read_bytes() != (run.folder / "result.json").read_bytes():
+            raise FileExistsError(f"{kept.parent} holds another run than {run.folder}: move it away, or give another folder")
+    pictured = {page.shown(arm).folder for bench in found.benches for arm in bench.arms}
+    for run in tqdm(found.runs, desc="keep", disable=None):
+        place = folder / run.place
+        if run.folder in pictured:
+            for name, image in page.thumbnails(run).items():
+                _write(place / "figures" / f"{name}.jpg", image)
+        if run.attempts:
+            _write(place / "attempts.csv.gz", _packed(run))
+        for name in reversed(SMALL):  # the result last: it means done
+            if (run.folder / name).is_file():
+                _write(place / name, (run.folder / name).read_bytes())
+
+
+def _packed(run: Run) -> bytes:
+    path = attempts_of(run.folder)
+    return path.read_bytes() if path.suffix == ".gz" else gzip.compress(path.read_bytes(), mtime=0)
+
+
+def _write(path: Path, data: bytes) -> None:
+    if path.exists():
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as partial:
+        partial.write_bytes(data)
