@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from see2act import build, figures
+from see2act import build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, once
@@ -81,6 +81,7 @@ class Run:
         before = copy.deepcopy(module)
         with self._timed("finetune"):
             self.finetune(module)
+        trained.save(self.checkpoints / trained.FILE, module.acting, self.cfg)
         with self._timed("evaluate_argmax"):
             self._evaluate_argmax(module)
         with self._timed("figures"):

@@ -101,7 +101,12 @@ def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
     }
     failed = any(r["phase"] == "eval" and r["policy"] == "suppress" and r["success"] == "0" for r in rows)
     assert {p.name for p in (folder / "figures").iterdir()} == PICTURES | ({"failures.png"} if failed else set())
-    assert {p.name for p in (folder / "checkpoints").iterdir()} == {"vision.ckpt", "affordance.ckpt", "last.ckpt"}
+    assert {p.name for p in (folder / "checkpoints").iterdir()} == {
+        "vision.ckpt",
+        "affordance.ckpt",
+        "last.ckpt",
+        "model.safetensors",
+    }
     assert (folder / ".hydra" / "config.yaml").exists()
     report = json.loads((folder / "transfer.json").read_text())
     assert report["parts"] == ["backbone", "head"]
@@ -202,7 +207,11 @@ def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
     assert result["eval"]["repeated"] is True
     assert result["eval"]["seen"] == result["zero_shot"]["seen"]
     assert [e["step"] for e in result["evals"]] == [0]
-    assert {p.name for p in (tmp_path / "fixed" / "checkpoints").iterdir()} == {"vision.ckpt", "affordance.ckpt"}
+    assert {p.name for p in (tmp_path / "fixed" / "checkpoints").iterdir()} == {
+        "vision.ckpt",
+        "affordance.ckpt",
+        "model.safetensors",
+    }
     assert result["curve"] == []
 
 

@@ -17,6 +17,17 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 
+@torch.no_grad()
+def affordances(
+    network: PixelNetwork, rotations: Rotations, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]
+) -> Float[np.ndarray, "A H W"]:
+    """Logits of success for every angle at every pixel of a heightmap, with the network's statistics as they are."""
+    x = network.prepare(torch.from_numpy(color)[None], torch.from_numpy(height)[None])
+    turned = rotations.all(x).split(TOGETHER)
+    maps: np.ndarray = rotations.back(torch.cat([network(maps) for maps in turned])).float().numpy()
+    return maps
+
+
 class AffordanceModule(L.LightningModule):
     """A network that learns from the single pixel where the robot tried.
 
@@ -59,17 +70,13 @@ class AffordanceModule(L.LightningModule):
         """The network that decides: the average, once there was a learning step."""
         return cast(PixelNetwork, self.average.module) if self.average.n_averaged else self.network
 
-    @torch.no_grad()
     def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
-        """Logits of success for every angle at every pixel of the heightmap, with frozen statistics."""
+        """:func:`affordances` of the network that acts."""
         training = self.training
         self.eval()
-        network = self.acting
-        x = network.prepare(torch.from_numpy(color)[None], torch.from_numpy(height)[None])
-        turned = self.rotations.all(x).split(TOGETHER)
-        maps = self.rotations.back(torch.cat([network(maps) for maps in turned]))
+        maps = affordances(self.acting, self.rotations, color, height)
         self.train(training)
-        return maps.float().numpy()
+        return maps
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> Tensor:
         logits = self.executed_logits(batch)

@@ -1,0 +1,1 @@
+"""From an RGB-D image of one's own to picks."""

@@ -1,0 +1,123 @@
+"""The best picks in an RGB-D image of your own, as picks.json and picks.png.
+
+Colour is a PNG or JPEG; depth a 16-bit PNG or a NumPy file, 0 where there is no reading; both of one size. Matrices are text
+files, a row a line: the intrinsics 3 x 3 in pixels, a pose 4 x 4, camera to world, z up from the floor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from see2act.files import replacing, write_json
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add("--checkpoint", type=Path, required=True, metavar="F", help="models/*.safetensors, or model.safetensors of a run")
+    add("--color", type=Path, required=True, metavar="F", help="8-bit image")
+    add("--depth", type=Path, required=True, metavar="F", help="16-bit PNG or .npy")
+    add("--depth-scale", type=float, required=True, metavar="N", help="units of the depth per metre: 1000 for millimetres")
+    add("--intrinsics", type=Path, required=True, metavar="F", help="3 x 3, pixels")
+    add("--background-depth", type=Path, metavar="F", help="the same view of the empty bin, in the same units")
+    add("--pose", type=Path, metavar="F", help="4 x 4, camera to world; without it the dominant plane is the floor")
+    words = "metres of the world between which to pick (default: where floor is seen)"
+    add("--bounds", type=float, nargs=4, metavar=("X0", "Y0", "X1", "Y1"), help=words)
+    add("--primitive", choices=("suction", "grasp"), help="refuse a checkpoint of the other one")
+    add("--count", type=int, default=10, metavar="N", help="picks at most (default 10)")
+    add("--apart", type=float, default=0.02, metavar="M", help="metres between any two (default 0.02)")
+    add("--out", type=Path, required=True, metavar="DIR", help="where picks.json and picks.png go")
+    args = parser.parse_args(arguments)
+    try:
+        inputs = _read(args)
+    except InputError as error:
+        sys.exit(f"see2act: {error}")
+    from see2act.prediction.picture import picture  # torch takes seconds, which a refusal should not
+    from see2act.prediction.predict import ImageError, predict
+    from see2act.trained import ModelFileError, load
+
+    try:
+        model = load(args.checkpoint, args.primitive)
+        bounds = tuple(args.bounds) if args.bounds else None
+        found = predict(**inputs, checkpoint=model, bounds=bounds, count=args.count, apart=args.apart)
+    except (ImageError, ModelFileError) as error:
+        sys.exit(f"see2act: {error}")
+    args.out.mkdir(parents=True, exist_ok=True)
+    coded = cv2.imencode(".png", cv2.cvtColor(picture(inputs["color"], found), cv2.COLOR_RGB2BGR))[1]
+    with replacing(args.out / "picks.png") as partial:
+        partial.write_bytes(coded.tobytes())
+    write_json(
+        args.out / "picks.json",
+        {
+            "primitive": found.primitive,
+            "checkpoint": {"file": str(args.checkpoint), "config_hash": model.config_hash},
+            "camera_to_world": found.pose.tolist(),
+            "picks": [dataclasses.asdict(pick) for pick in found.picks],
+        },
+    )
+    for number, pick in enumerate(found.picks, start=1):
+        x, y, z = pick.position
+        turn = "" if pick.angle is None else f", jaws along {np.degrees(pick.angle):.0f} degrees"
+        print(f"{number:2}  score {pick.score:.2f}  image ({pick.u}, {pick.v})  x {x:.3f} y {y:.3f} z {z:.3f} m{turn}")
+    if not found.picks:
+        print("no pick: nothing may be picked there; check bounds, pose and background")
+    print(args.out / "picks.png")
+
+
+class InputError(ValueError):
+    """A file that cannot be used; the message is one line and names the mend."""
+
+
+def _read(args: argparse.Namespace) -> dict[str, Any]:
+    """The files, checked for what they are by themselves."""
+    if not args.depth_scale > 0:
+        raise InputError(f"--depth-scale {args.depth_scale:g} must be positive: units of the depth per metre")
+    color = cv2.imread(str(_there(args.color, "--color")), cv2.IMREAD_COLOR)
+    if color is None:
+        raise InputError(f"{args.color} cannot be read as an image: give a PNG or JPEG")
+    background = None
+    if args.background_depth:
+        background = _depth(_there(args.background_depth, "--background-depth")) / args.depth_scale
+    return {
+        "color": cv2.cvtColor(color, cv2.COLOR_BGR2RGB),
+        "depth": _depth(_there(args.depth, "--depth")) / args.depth_scale,
+        "intrinsics": _matrix(_there(args.intrinsics, "--intrinsics"), (3, 3)),
+        "pose": _matrix(_there(args.pose, "--pose"), (4, 4)) if args.pose else None,
+        "background_depth": background,
+    }
+
+
+def _there(path: Path, option: str) -> Path:
+    if not path.is_file():
+        raise InputError(f"{option} {path} is not there: give the path of a file")
+    return path
+
+
+def _depth(path: Path) -> np.ndarray:
+    try:
+        depth = np.load(path) if path.suffix == ".npy" else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read ({error}): give what numpy.save wrote") from None
+    if depth is None or depth.ndim != 2 or depth.dtype == np.uint8:
+        shape = "no image" if depth is None else f"{depth.dtype} of shape {depth.shape}"
+        raise InputError(f"{path} is {shape}: depth must be a 16-bit PNG of one channel, or a .npy of two dimensions")
+    return np.asarray(depth, np.float32)
+
+
+def _matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    try:
+        matrix = np.loadtxt(path.read_text().replace(",", " ").splitlines(), ndmin=2)
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path} is no matrix ({' '.join(str(error).split())}): write a row a line") from None
+    if matrix.shape != shape:
+        sizes = " x ".join(map(str, matrix.shape)), " x ".join(map(str, shape))
+        raise InputError(f"{path} is {sizes[0]}, not {sizes[1]}: write {shape[0]} lines of {shape[1]} numbers")
+    return matrix

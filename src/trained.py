@@ -1,0 +1,110 @@
+"""A fine-tuned model in one small file, with everything that is needed to pick with it elsewhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from hydra.utils import instantiate
+from jaxtyping import Float, UInt8
+from omegaconf import DictConfig, OmegaConf
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
+from safetensors.torch import save as serialized
+from see2act.config import config_hash, native_precision
+from see2act.files import replacing
+from see2act.modules.affordance import affordances
+from see2act.modules.network import PixelNetwork
+from see2act.modules.rotation import Rotations
+
+FILE = "model.safetensors"
+"""Its name among a run's checkpoints."""
+CONFIG, HASH = "see2act.config", "see2act.config_hash"
+"""Names in the file's metadata."""
+WITHOUT = ("hydra", "paths", "logger")
+"""Keys of the configuration that say nothing about the model."""
+
+
+class ModelFileError(ValueError):
+    """A file that is no trained model; the message is one line and names the mend."""
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """What picks, and what it learned with."""
+
+    network: PixelNetwork
+    config: DictConfig
+    """Of the run that trained it, resolved; without what says nothing about the model."""
+    config_hash: str
+
+    @property
+    def primitive(self) -> str:
+        """``suction`` or ``grasp``."""
+        return str(self.config.primitive.name)
+
+    @property
+    def pixel(self) -> float:
+        """Metres a pixel of the heightmaps it learned from."""
+        return float(self.config.workspace.pixel)
+
+    def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
+        """Logits of success for every angle (a share k / A of half a turn) at every pixel of a heightmap of any size."""
+        rotations = _rotations(height.shape, int(self.config.primitive.angles), self.network.stride)
+        return affordances(self.network, rotations, color, height)
+
+
+def save(path: Path, network: PixelNetwork, cfg: DictConfig) -> None:
+    """Write the network that acts, and the configuration it was trained by."""
+    config = OmegaConf.create({str(key): cfg[key] for key in cfg if key not in WITHOUT})
+    metadata = {CONFIG: json.dumps(OmegaConf.to_container(config, resolve=True)), HASH: config_hash(cfg)}
+    state = {name: value.contiguous() for name, value in network.state_dict().items()}
+    with replacing(path) as partial:
+        partial.write_bytes(serialized(state, metadata))
+
+
+def load(path: Path, primitive: str | None = None) -> TrainedModel:
+    """Read what :func:`save` wrote.
+
+    Args:
+        path: The file.
+        primitive: What it must have been trained for; None takes any.
+
+    Raises:
+        ModelFileError: It is not there, is another kind of file, or of another primitive.
+    """
+    if not path.is_file():
+        raise ModelFileError(f"{path} is not there: give checkpoints/{FILE} of a finished run, or one of models/")
+    try:
+        metadata = _metadata(path)
+        state = load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise ModelFileError(
+            f"{path} cannot be read as safetensors ({error}): give checkpoints/{FILE} of a finished run, or one of models/"
+        ) from None
+    if CONFIG not in metadata:
+        raise ModelFileError(f"{path} says nothing of its configuration: give checkpoints/{FILE} of a finished run")
+    config = OmegaConf.create(json.loads(metadata[CONFIG]))
+    assert isinstance(config, DictConfig)
+    network: PixelNetwork = instantiate(config.model.network)
+    network.load_state_dict(state)
+    network.speed_up(native_precision())
+    network.eval()
+    model = TrainedModel(network, config, metadata[HASH])
+    if primitive not in (None, model.primitive):
+        raise ModelFileError(f"{path} was trained for primitive={model.primitive}, not {primitive}: give one of {primitive}")
+    return model
+
+
+def _metadata(path: Path) -> Mapping[str, str]:
+    with safe_open(path, "pt") as file:
+        return dict(file.metadata() or {})
+
+
+@cache
+def _rotations(shape: tuple[int, int], angles: int, stride: int) -> Rotations:
+    return Rotations(shape, angles, stride)

@@ -1,0 +1,244 @@
+"""Picks in images: of the simulator's camera, so that what is right is known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import see2act
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from see2act import trained
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.network import PixelNetwork
+from see2act.prediction.main import main
+from see2act.prediction.predict import HALF, ImageError, floor_pose
+from see2act.robot.heightmap import point_cloud
+from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import Observation
+from see2act.trained import ModelFileError, TrainedModel
+from torch import nn
+
+BOUNDS = (-0.18, -0.18, 0.18, 0.18)
+
+
+class Highest(nn.Module):
+    """Likes what is high."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x[:, 3:] * 10
+
+
+@pytest.fixture(scope="module")
+def highest(config: Callable[..., DictConfig]) -> TrainedModel:
+    return TrainedModel(PixelNetwork(Highest(), nn.Identity(), stride=4, reach=1), config("primitive=suction"), "none")
+
+
+@pytest.fixture(scope="module")
+def robot(make_robot: Callable[..., SimulatedRobot]) -> SimulatedRobot:
+    return make_robot("primitive=suction")
+
+
+@pytest.fixture(scope="module")
+def seen(robot: SimulatedRobot) -> Observation:
+    robot.reset(3, "seen")
+    return robot.observe()
+
+
+@pytest.fixture
+def image(robot: SimulatedRobot, seen: Observation) -> dict[str, Any]:
+    return {"color": seen.color, "depth": seen.depth, "intrinsics": robot.camera.intrinsics - HALF}
+
+
+def test_with_a_pose_the_heightmap_is_the_robot_s_own(
+    image: dict, highest: TrainedModel, robot: SimulatedRobot, seen: Observation
+) -> None:
+    found = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
+    np.testing.assert_allclose(found.heightmap.height, seen.heightmap.height, atol=1e-5)
+    np.testing.assert_array_equal(found.heightmap.color, seen.heightmap.color)
+
+
+def test_a_pick_says_the_same_place_in_every_frame(image: dict, highest: TrainedModel, robot: SimulatedRobot) -> None:
+    pose = robot.camera.pose
+    found = see2act.predict(**image, checkpoint=highest, pose=pose, bounds=BOUNDS, count=6, apart=0.03)
+    assert len(found.picks) == 6
+    assert [pick.score for pick in found.picks] == sorted((pick.score for pick in found.picks), reverse=True)
+    best = found.picks[0]
+    assert best.position[2] == pytest.approx(found.heightmap.height[found.source >= 0].max(), abs=1e-5)
+    for pick in found.picks:
+        np.testing.assert_allclose(pose[:3, :3] @ pick.position_camera + pose[:3, 3], pick.position, atol=1e-5)
+        assert image["depth"][pick.v, pick.u] == pytest.approx(pick.position_camera[2], abs=1e-6)
+        x, y = found.workspace.to_world(pick.row, pick.col)
+        np.testing.assert_allclose((x, y), pick.position[:2], atol=0.0013)
+        assert found.heightmap.height[pick.row, pick.col] == pytest.approx(pick.position[2], abs=1e-5)
+        assert pick.angle is None
+    at = np.array([pick.position[:2] for pick in found.picks])
+    distances = np.linalg.norm(at[:, None] - at[None], axis=2) + np.eye(6)
+    assert distances.min() > 0.03 - 0.0025 * 2
+
+
+def test_without_a_pose_the_floor_is_found(image: dict, highest: TrainedModel, robot: SimulatedRobot) -> None:
+    truth = robot.camera.pose
+    points = point_cloud(image["depth"], robot.camera.intrinsics, truth)
+    inside = (np.abs(points[..., :2]) < 0.17).all(axis=-1)  # beyond is more of the table, which lies lower
+    image["depth"] = np.where(inside, image["depth"], 0)
+    found = floor_pose(image["depth"], robot.camera.intrinsics)
+    assert found[2, 3] == pytest.approx(truth[2, 3], abs=0.003)
+    assert found[2, :3] @ truth[2, :3] > np.cos(np.radians(0.5))
+    np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
+    assert found[0, 0] > 0  # x to the image's right
+    ours = see2act.predict(**image, checkpoint=highest)
+    theirs = see2act.predict(**image, checkpoint=highest, pose=truth, bounds=BOUNDS)
+    assert ours.picks[0].position[2] == pytest.approx(theirs.picks[0].position[2], abs=0.005)
+
+
+def test_bounds_away_from_the_middle_move_the_heightmap_and_not_the_world(
+    image: dict, highest: TrainedModel, robot: SimulatedRobot
+) -> None:
+    whole = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
+    x, y, _ = whole.picks[0].position
+    near = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=(x - 0.05, y - 0.02, x + 0.03, y + 0.06))
+    np.testing.assert_allclose(near.picks[0].position, whole.picks[0].position, atol=0.003)
+    assert near.heightmap.height.shape == (32, 32)
+
+
+def test_what_was_there_before_is_not_picked(image: dict, highest: TrainedModel, robot: SimulatedRobot) -> None:
+    empty = image["depth"].copy()
+    empty[100:] = np.where(np.arange(empty.shape[1]) < 320, empty[100:], empty[100:] + 0.03)  # in the left half all stays
+    found = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS, background_depth=empty)
+    assert found.picks
+    assert min(pick.u for pick in found.picks) >= 318
+    nothing = see2act.predict(
+        **image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS, background_depth=image["depth"]
+    )
+    assert nothing.picks == ()
+
+
+@pytest.fixture(scope="module")
+def model_file(config: Callable[..., DictConfig], tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    def make(primitive: str) -> Path:
+        cfg = config(f"primitive={primitive}", "model.width=4", "precision=fp32")
+        torch.manual_seed(0)
+        path = tmp_path_factory.mktemp("model") / trained.FILE
+        trained.save(path, instantiate(cfg.model.network), cfg)
+        return path
+
+    return make
+
+
+def test_a_file_gives_back_what_learned(model_file: Callable[[str], Path], seen: Observation, config: Callable) -> None:
+    model = trained.load(model_file("grasp"), "grasp")
+    model.network.speed_up("fp32")
+    cfg = config("primitive=grasp", "model.width=4")
+    torch.manual_seed(0)
+    module = AffordanceModule(instantiate(cfg.model.network), seen.heightmap.height.shape, 16, 0.1, 0.1, 0.0, "frozen", 0.9)
+    ours, theirs = (m.affordances(seen.heightmap.color, seen.heightmap.height) for m in (model, module))
+    np.testing.assert_allclose(ours, theirs, atol=1e-4)
+    assert (model.primitive, model.pixel) == ("grasp", 0.0025)
+    assert OmegaConf.select(model.config, "paths") is None
+
+
+def test_a_grasp_s_angle_is_that_of_its_best_map(model_file: Callable[[str], Path], image: dict, robot: SimulatedRobot) -> None:
+    model = trained.load(model_file("grasp"))
+    best = see2act.predict(**image, checkpoint=model, pose=robot.camera.pose, bounds=BOUNDS, count=1)
+    logits = model.affordances(best.heightmap.color, best.heightmap.height)
+    pick = best.picks[0]
+    assert pick.angle == pytest.approx(logits[:, pick.row, pick.col].argmax() * np.pi / 16)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"depth": "in millimetres"}, "check depth-scale"),
+        ({"depth": "smaller"}, "different sizes, 640 x 360 and 320 x 180"),
+        ({"depth": "empty"}, "has no reading"),
+        ({"intrinsics": np.eye(4)}, "3 x 3"),
+        ({"pose": np.zeros((4, 4))}, "camera to world"),
+        ({"bounds": (0.1, 0.1, -0.1, 0.2)}, "smallest x, smallest y"),
+        ({"bounds": (5.0, 5.0, 5.1, 5.1)}, "within the bounds"),
+        ({"bounds": (-9.0, -9.0, 9.0, 9.0)}, "too much"),
+        ({"color": np.zeros((360, 640), np.uint8)}, "8-bit RGB"),
+    ],
+)
+def test_bad_input_names_the_mend(
+    image: dict, highest: TrainedModel, robot: SimulatedRobot, change: dict[str, Any], words: str
+) -> None:
+    depth = image["depth"]
+    bad = {"in millimetres": depth * 1000, "smaller": depth[::2, ::2], "empty": depth * 0}
+    given = {"pose": robot.camera.pose, "bounds": BOUNDS, **image, **change}
+    if isinstance(given["depth"], str):
+        given["depth"] = bad[given["depth"]]
+    with pytest.raises(ImageError, match=words) as told:
+        see2act.predict(**given, checkpoint=highest)
+    assert "\n" not in str(told.value)
+
+
+@pytest.fixture
+def files(image: dict, tmp_path: Path, model_file: Callable[[str], Path]) -> dict[str, str]:
+    """The options of the command, all well."""
+    cv2.imwrite(str(tmp_path / "color.png"), cv2.cvtColor(image["color"], cv2.COLOR_RGB2BGR))
+    cv2.imwrite(str(tmp_path / "depth.png"), np.rint(image["depth"] * 1e4).astype(np.uint16))
+    np.savetxt(tmp_path / "intrinsics.txt", image["intrinsics"])
+    return {
+        "--checkpoint": str(model_file("grasp")),
+        "--color": str(tmp_path / "color.png"),
+        "--depth": str(tmp_path / "depth.png"),
+        "--depth-scale": "10000",
+        "--intrinsics": str(tmp_path / "intrinsics.txt"),
+        "--out": str(tmp_path / "out"),
+    }
+
+
+def _command(files: dict[str, str]) -> list[str]:
+    return [word for pair in files.items() for word in pair]
+
+
+def test_the_command_leaves_picks_and_a_picture(files: dict[str, str], capsys: pytest.CaptureFixture) -> None:
+    main([*_command(files), "--count", "3"])
+    out = Path(files["--out"])
+    told = json.loads((out / "picks.json").read_text())
+    assert [pick.keys() >= {"row", "col", "u", "v", "position", "angle", "score"} for pick in told["picks"]] == [True] * 3
+    picture = cv2.imread(str(out / "picks.png"))
+    assert picture.shape[0] == 360
+    assert picture.shape[1] > 640
+    said = capsys.readouterr().out
+    assert said.count("score") == 3
+    assert "jaws along" in said
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--depth-scale", "1", "check depth-scale"),
+        ("--depth-scale", "0", "positive"),
+        ("--intrinsics", "nowhere.txt", "nowhere.txt is not there"),
+        ("--checkpoint", "nowhere.safetensors", "model.safetensors of a finished run"),
+        ("--primitive", "suction", "trained for primitive=grasp, not suction"),
+        ("--depth", "the colour", "one channel"),
+        ("--color", "the intrinsics", "cannot be read as an image"),
+        ("--intrinsics", "the colour", "is no matrix"),
+        ("--pose", "the intrinsics", "is 3 x 3, not 4 x 4"),
+        ("--checkpoint", "the colour", "cannot be read as safetensors"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(files: dict[str, str], option: str, value: str, words: str) -> None:
+    given = {"the colour": files["--color"], "the intrinsics": files["--intrinsics"]}.get(value, value)
+    with pytest.raises(SystemExit, match=words) as told:
+        main(_command({**files, option: given}))
+    assert str(told.value).count("\n") == 0
+    assert not Path(files["--out"]).exists()
+
+
+def test_weights_without_their_configuration_are_refused(tmp_path: Path) -> None:
+    from safetensors.torch import save_file
+
+    save_file({"weight": torch.zeros(1)}, tmp_path / "bare.safetensors")
+    with pytest.raises(ModelFileError, match="says nothing of its configuration"):
+        trained.load(tmp_path / "bare.safetensors")
