@@ -1,0 +1,96 @@
+"""The same robot behind Gymnasium's door, for agents that are not ours.
+
+Importing this module registers ``see2act/BinPicking-v1``; ``gymnasium.make("see2act.environment:see2act/BinPicking-v1")``
+does both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, get_args
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from see2act import build
+from see2act.config import composed, validate
+from see2act.robot.types import Observation, Split
+
+NAME = "see2act/BinPicking-v1"
+ATTEMPTS = 25
+"""Of an episode with seen objects (paper, section IV)."""
+HEIGHTS = (-0.5, 2.0)
+"""Metres between which every height of a heightmap lies."""
+
+
+class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
+    """A UR5 empties a bin: one step is one pick, open loop, and the reward is 1 if the robot senses that it holds something.
+
+    Observations are ``color`` (H, W, 3) uint8 and ``height`` (H, W) float32, metres above the floor, of the bin seen along
+    gravity. An action is (angle, row, col): the pixel to pick at, and the angle's index k, for jaws that close along
+    k / 16 of half a turn, counter-clockwise from the columns' direction; a suction cup has but one. The episode ends when
+    the bin is empty, and is cut off after 25 picks. ``info`` has ``truth``, ``cause``, ``lost`` and ``robot_seconds``.
+
+    Args:
+        overrides: Configuration as for train.py: ``["primitive=grasp", "objects=household"]``.
+        split: Which objects: ``seen`` or ``unseen``. ``reset`` takes another as ``options={"split": ...}``.
+        render_mode: ``rgb_array`` for the camera's image, or None.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1}  # noqa: RUF012 (declared so by Env)
+
+    def __init__(self, overrides: Sequence[str] = (), split: Split = "seen", render_mode: str | None = None):
+        cfg = composed([*overrides])
+        validate(cfg)
+        self.render_mode = render_mode
+        self._split = _checked(split)
+        self._angles = int(cfg.primitive.angles)
+        self._robot = build.robot_factory(cfg, cfg.primitive)()
+        shape = self._robot.workspace.shape
+        maps = {"color": spaces.Box(0, 255, (*shape, 3), np.uint8), "height": spaces.Box(*HEIGHTS, shape, np.float32)}
+        self.observation_space: spaces.Space[Any] = spaces.Dict(maps)
+        self.action_space = spaces.MultiDiscrete([self._angles, *shape])
+        self._seen: Observation | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """A new scene; the same ``seed`` gives the same scenes."""
+        super().reset(seed=seed)
+        split = _checked((options or {}).get("split", self._split))
+        self._robot.reset(int(self.np_random.integers(2**31)), split)
+        return self._observe(), {}
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """One pick."""
+        if self._seen is None:
+            raise gymnasium.error.ResetNeeded("call reset() before the first step()")
+        angle, row, col = (int(i) for i in action)
+        pick = self._robot.workspace.pick(self._seen.heightmap, row, col, angle * math.pi / self._angles)
+        outcome = self._robot.execute(pick)
+        info = {name: getattr(outcome, name) for name in ("truth", "cause", "lost", "robot_seconds")}
+        return self._observe(), float(outcome.success), self._robot.bin_empty(), False, info
+
+    def render(self) -> np.ndarray | None:
+        """What the camera sees, (h, w, 3) uint8."""
+        return None if self.render_mode is None or self._seen is None else self._seen.color
+
+    def close(self) -> None:
+        """Give the simulator back."""
+        self._robot.close()
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        self._seen = self._robot.observe()
+        heightmap = self._seen.heightmap
+        return {"color": heightmap.color, "height": heightmap.height}
+
+
+def _checked(split: Any) -> Split:
+    if split not in get_args(Split):
+        raise ValueError(f"split={split} is unknown: choose one of {', '.join(get_args(Split))}")
+    known: Split = split
+    return known
+
+
+gymnasium.register(id=NAME, entry_point="see2act.environment:BinPicking", max_episode_steps=ATTEMPTS)
