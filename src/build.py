@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any
 
@@ -39,7 +38,8 @@ def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRo
 
 def policy(cfg: DictConfig) -> Policy:
     """The rule that turns affordances into picks."""
-    built: Policy = instantiate(cfg.policy, margin=math.ceil(cfg.primitive.margin / cfg.workspace.pixel))
+    along, across = (metres / cfg.workspace.pixel for metres in cfg.primitive.footprint)
+    built: Policy = instantiate(cfg.policy, footprint=(along, across))
     return built
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,8 +63,8 @@ class PrimitiveConfig:
 
     name: str = MISSING
     angles: int = MISSING
-    margin: float = MISSING
-    """Metres from the bin's walls where the tool has no room."""
+    footprint: list[float] = field(default_factory=list)
+    """Metres from the middle of the open tool to its ends, along the jaws and across: what needs room between the walls."""
     end_effector: dict[str, Any] = field(default_factory=dict)
     attempts: int = MISSING
     """Fine-tuning attempts of the main job."""
@@ -305,9 +306,11 @@ def validate(cfg: DictConfig) -> None:
     for key in ("primitive.angles", "model.width", "figures.scenes"):
         _at_least(key, OmegaConf.select(cfg, key, default=1), 1)
     room = min(cfg.workspace.width, cfg.workspace.length) / 2 - cfg.workspace.pixel
-    if not 0 <= cfg.primitive.margin < room:
+    footprint = cfg.primitive.footprint
+    if len(footprint) != 2 or not all(0 <= side < room / math.sqrt(2) for side in footprint):
         raise ConfigError(
-            f"primitive.margin={cfg.primitive.margin} leaves nothing to pick from: it must lie between 0 and {room}"
+            f"primitive.footprint={list(footprint)} leaves nothing to pick from: it must be [along, across] in metres, each "
+            f"between 0 and {room / math.sqrt(2):.3f}"
         )
     for key in ("alpha", "beta", "floor", "turn", "shift", "tint"):
         _at_least(f"finetune.replay.{key}", cfg.finetune.replay[key], 0)

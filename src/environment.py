@@ -48,7 +48,10 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         self._angles = int(cfg.primitive.angles)
         self._robot = build.robot_factory(cfg, cfg.primitive)()
         shape = self._robot.workspace.shape
-        maps = {"color": spaces.Box(0, 255, (*shape, 3), np.uint8), "height": spaces.Box(*HEIGHTS, shape, np.float32)}
+        maps: dict[str, spaces.Space[Any]] = {
+            "color": spaces.Box(0, 255, (*shape, 3), np.uint8),
+            "height": spaces.Box(*HEIGHTS, shape, np.float32),
+        }
         self.observation_space: spaces.Space[Any] = spaces.Dict(maps)
         self.action_space = spaces.MultiDiscrete([self._angles, *shape])
         self._seen: Observation | None = None

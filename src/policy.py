@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -51,7 +52,8 @@ class Policy:
         changed_height: Metres by which a cell must change to count as changed.
         changed_share: Share of changed cells around the pick that makes the scene there a new one.
         changed_radius: Pixels around the pick that are compared.
-        margin: Pixels along the bin's walls where the tool has no room, whatever its angle.
+        footprint: Pixels from the middle of the tool to its outer ends, along the jaws and across them: all of it must have
+            room between the bin's walls (the paper plans motions free of collisions with what is known).
     """
 
     name: str
@@ -61,7 +63,7 @@ class Policy:
     changed_height: float = 0.008
     changed_share: float = 0.1
     changed_radius: int = 12
-    margin: int = 0
+    footprint: tuple[float, float] = (0.0, 0.0)
     _failures: list[_Failure] = field(default_factory=list)
 
     def plain(self) -> Policy:
@@ -113,10 +115,8 @@ class Policy:
     def _allowed(self, shape: tuple[int, ...], heightmap: Heightmap) -> np.ndarray:
         self._failures = [f for f in self._failures if not self._changed(f, heightmap)]
         angles, rows, cols = shape
-        inner = slice(self.margin, rows - self.margin), slice(self.margin, cols - self.margin)
-        allowed = np.zeros(shape, bool)
-        allowed[:, *inner] = True
-        room = allowed.copy()
+        room = self._room(angles, rows, cols)
+        allowed = room.copy()
         v, u = np.ogrid[:rows, :cols]
         for failure in self._failures:
             c = failure.choice
@@ -125,6 +125,19 @@ class Policy:
             for angle in set(beside):
                 allowed[angle] &= ~near
         return allowed if allowed.any() else room
+
+    def _room(self, angles: int, rows: int, cols: int) -> np.ndarray:
+        """Where the tool, turned by each angle, stays between the walls."""
+        room = np.zeros((angles, rows, cols), bool)
+        along, across = self.footprint
+        for k in range(angles):
+            cosine, sine = abs(math.cos(k * math.pi / angles)), abs(math.sin(k * math.pi / angles))
+            top, left = (
+                max(0, math.ceil(reach - 0.5 - 1e-6))  # a pixel's middle is at its index and a half
+                for reach in (along * sine + across * cosine, along * cosine + across * sine)
+            )
+            room[k, top : rows - top, left : cols - left] = True
+        return room
 
     def _changed(self, failure: _Failure, heightmap: Heightmap) -> bool:
         difference = np.abs(self._patch(heightmap, failure.choice) - failure.height)

@@ -101,7 +101,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("collect.interactions=5", ["collect.interactions=5", "batch_size"]),
         ("objects.scale=[1.0,4.0]", ["does not fit the gripper"]),
         ("workspace.pixel=0", ["must be positive"]),
-        ("primitive.margin=0.2", ["primitive.margin=0.2", "between 0 and"]),
+        ("primitive.footprint=[0.2,0.01]", ["primitive.footprint=[0.2, 0.01]", "between 0 and"]),
         ("policy.radius=big", ["policy.radius=big", "must be int"]),
         ("model.width=0", ["model.width=0", "at least 1"]),
         ("camera.width=wide", ["camera.width=wide", "must be int"]),

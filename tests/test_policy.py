@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.special import logit
+from see2act import build
+from see2act.config import composed
 from see2act.policy import Policy
 from see2act.robot.types import Heightmap
 
@@ -88,12 +92,35 @@ def test_a_model_that_expects_only_failure_looks_everywhere(flat: Heightmap) -> 
     assert np.mean(np.array(draws) == 20) < 0.1
 
 
-@pytest.mark.parametrize(("margin", "expected"), [(0, (0, 20)), (4, (30, 30)), (5, (30, 30))])
-def test_the_margin_along_the_walls_is_never_chosen(flat: Heightmap, margin: int, expected: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("footprint", "expected"),
+    [
+        ((0, 0), (0, 20, 0)),
+        ((4, 4), (20, 11, 0)),
+        ((12, 4), (20, 11, 8)),  # jaws along x have no room at column 11, jaws along y do
+    ],
+)
+def test_the_tool_has_room_between_the_walls(
+    flat: Heightmap, footprint: tuple[float, float], expected: tuple[int, int, int]
+) -> None:
     maps = np.zeros((16, 40, 40))
-    maps[0, 0, 20], maps[1, 36, 36], maps[2, 30, 30] = 5.0, 4.0, 3.0
-    choice = Policy("suppress", True, margin=margin).choose(maps, flat)
-    assert (choice.row, choice.col) == expected
+    maps[0, 0, 20], maps[0, 20, 11], maps[8, 20, 11] = 3.0, 2.0, 1.0
+    choice = Policy("suppress", True, footprint=footprint).choose(maps, flat)
+    assert (choice.row, choice.col, choice.angle) == expected
+
+
+@pytest.mark.slow
+def test_a_gripper_in_the_outermost_pixels_it_may_use_touches_no_wall(make_robot: Callable) -> None:
+    """The number in conf/ is that of the gripper itself: in an empty bin no pick ends at a wall."""
+    robot, cfg = make_robot("primitive=grasp"), composed(["primitive=grasp"])
+    robot.reset(0, "seen", count=0)
+    heightmap = robot.observe().heightmap
+    room = build.policy(cfg)._room(16, *heightmap.height.shape)
+    for angle in range(0, 16, 3):
+        rows, cols = np.nonzero(room[angle])
+        for row, col in ((rows.min(), cols.min()), (rows.max(), cols.max()), (rows.min(), cols.max())):
+            pick = robot.workspace.pick(heightmap, int(row), int(col), angle * np.pi / 16)
+            assert robot.execute(pick).cause != "wall", (angle, row, col)
 
 
 def test_something_is_chosen_even_when_all_has_failed() -> None:

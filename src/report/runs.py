@@ -24,7 +24,7 @@ OPAQUE = (".hydra", "checkpoints", "figures", "wandb", ".git", ".venv", ".cache"
 """Folders that hold no runs, and may be large."""
 CONDITIONS = (
     *("model.", "objects.", "workspace.", "camera.", "robot.", "policy."),
-    *("primitive.angles", "primitive.margin", "primitive.end_effector", "evaluate.attempts", "evaluate.scenes"),
+    *("primitive.angles", "primitive.footprint", "primitive.end_effector", "evaluate.attempts", "evaluate.scenes"),
 )
 """Beginnings of the keys that two runs must share before their success may be compared."""
 NO_MATTER = ("hydra", *LOCAL, *(f"trainer.{key}" for key in LOCAL_TRAINER), "trainer.enable_", "collect.workers", "robot.video")
