@@ -66,6 +66,8 @@ class PrimitiveConfig:
     footprint: list[float] = field(default_factory=list)
     """Metres from the middle of the open tool to its ends, along the jaws and across: what needs room between the walls."""
     end_effector: dict[str, Any] = field(default_factory=dict)
+    lr: float = MISSING
+    """Learning rate of fine-tuning, for every arm alike."""
     attempts: int = MISSING
     """Fine-tuning attempts of the main job."""
     benchmark_attempts: int = MISSING

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -89,6 +89,8 @@ class ObjectSet:
     transparent: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if not 0 < self.scale[0] <= self.scale[1]:
+            raise RobotError(f"objects.scale must be [low, high] with 0 < low <= high, got {list(self.scale)}")
         for split in ("seen", "unseen"):
             names = getattr(self, split)
             if len(names) < self.kinds:
@@ -104,11 +106,7 @@ class ObjectSet:
             raise RobotError(f"no texture is called {sorted(unknown)}; choose from {', '.join(TEXTURES)}")
 
     def _check(self, name: str) -> None:
-        if name not in CATALOGUE:
-            raise RobotError(f"no object is called '{name}'; choose from {', '.join(sorted(CATALOGUE))}")
-        if not 0 < self.scale[0] <= self.scale[1]:
-            raise RobotError(f"objects.scale must be [low, high] with 0 < low <= high, got {list(self.scale)}")
-        width = shape(name).width * self.scale[1]
+        width = self.shape(name).width * self.scale[1]
         if width > self.opening:
             raise RobotError(
                 f"object '{name}' at scale {self.scale[1]} is {width * 1000:.0f} mm across and does not fit "
@@ -119,6 +117,16 @@ class ObjectSet:
         """The objects of a split."""
         return self.seen if split == "seen" else self.unseen
 
+    def shape(self, name: str) -> Shape:
+        """The shape of an object at scale 1.
+
+        Raises:
+            RobotError: There is none of this name, or its mesh file is missing or has no volume.
+        """
+        if name not in CATALOGUE:
+            raise RobotError(f"no object is called '{name}'; choose from {', '.join(sorted(CATALOGUE))}")
+        return shape(name)
+
 
 @cache
 def shape(name: str) -> Shape:
@@ -127,7 +135,15 @@ def shape(name: str) -> Shape:
     Raises:
         RobotError: Its mesh file is missing or has no volume.
     """
-    parts = CATALOGUE[name]()
+    return centred(name, CATALOGUE[name]())
+
+
+def centred(name: str, parts: Sequence[trimesh.Trimesh]) -> Shape:
+    """Convex parts as a shape with its centre of volume at the origin.
+
+    Raises:
+        RobotError: A part has no volume.
+    """
     volumes = np.array([part.volume for part in parts])
     if not len(volumes) or (volumes <= 0).any():
         raise RobotError(f"object '{name}' has a part without volume")

@@ -10,7 +10,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from see2act.robot.objects import ObjectSet, shape
+from see2act.robot.objects import ObjectSet
 from see2act.robot.simulation import Simulation
 from see2act.robot.textures import TEXTURES
 from see2act.robot.types import Split
@@ -190,10 +190,10 @@ class Scene:
         client = self._simulation.client
         path = Path(self._files.name) / f"{name}.obj"
         if not path.exists():
-            path.write_text(shape(name).obj())
+            path.write_text(self._objects.shape(name).obj())
         collision = client.createCollisionShape(client.GEOM_MESH, fileName=str(path), meshScale=[scale] * 3)
         visual = client.createVisualShape(client.GEOM_MESH, fileName=str(path), meshScale=[scale] * 3, rgbaColor=(*color, 1))
-        mass = shape(name).volume * scale**3 * self._objects.density
+        mass = self._objects.shape(name).volume * scale**3 * self._objects.density
         body = client.createMultiBody(mass, collision, visual, position, rotation)
         client.changeDynamics(
             body,
