@@ -102,8 +102,8 @@ def folder(
     unseen = round(held_out * len(files))
     if min(unseen, len(files) - unseen) < kinds:
         raise RobotError(
-            f"objects.path={path} holds {len(files)} objects, {unseen} of them unseen, and a scene needs {kinds} of a kind: add "
-            "files, lower objects.kinds or change objects.held_out"
+            f"objects.path={path} holds {len(files)} objects, {unseen} of them unseen, and a scene needs {kinds}: add files, "
+            "lower objects.kinds or change objects.held_out"
         )
     for key, file in files.items():
         _check_size(mesh_shape(key, file, unit, width), file)
@@ -141,7 +141,7 @@ def _check_size(shape: Shape, file: Path) -> None:
     if sides[0] < SMALLEST or sides[2] > LARGEST:
         told = " x ".join(f"{side:.3g}" for side in sides)
         raise RobotError(
-            f"{file} is {told} m: its sides must lie between {SMALLEST} and {LARGEST} m; give objects.unit, the metres a unit of "
+            f"{file} is {told} m, and sides must lie between {SMALLEST} and {LARGEST} m: give objects.unit, metres a unit of "
             "the file (0.001 for millimetres), or objects.width=0.05 to bring all to one size"
         )
 
