@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install train test smoke check bench format clean
+.PHONY: install train demo test smoke check bench format clean
 
 install: .venv/installed
 
@@ -16,6 +16,9 @@ install: .venv/installed
 
 train: install  ## make train ARGS="task=normal transfer=full primitive=suction seed=3"
 	$(BIN)/python train.py $(ARGS)
+
+demo: install  ## a trained robot clears a bin: make demo ARGS="primitive=grasp objects=random_urdfs seed=5"
+	$(BIN)/python demo.py $(ARGS)
 
 test: check
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope $(ARGS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,8 @@ JAWS = 0.043
 """Metres from the middle of the open gripper to a pad."""
 SHOWN = 4
 """Failures of a cause."""
+BAND = 8
+"""Attempts side by side in a strip."""
 ABOVE_FLOOR = 0.01
 """Metres: a pick above is on an object, or a wall."""
 
@@ -153,6 +156,25 @@ def failures(failed: list[Attempt], affordances: Affordances, robot: Robot, titl
             heatmap = expit(affordances(heightmap.color, heightmap.height)[choice.angle])
             axes[2 * k + 1].imshow(heatmap, cmap="inferno", vmin=0, vmax=1)
             axes[2 * k + 1].set_title(f"predicted {choice.score:.2f}, best {heatmap.max():.2f}", fontsize=9)
+    figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def strip(attempts: Sequence[Attempt], affordances: Affordances, robot: Robot, title: str, path: Path) -> None:
+    """A column for each attempt: what the camera saw, the heatmap at the chosen angle, and the pick."""
+    bands = math.ceil(len(attempts) / BAND)
+    figure, grid = plt.subplots(3 * bands, BAND, figsize=(1.9 * BAND, 5.4 * bands + 0.3), squeeze=False)
+    for axis in grid.flat:
+        axis.set_axis_off()
+    for i, one in enumerate(attempts):
+        band, column = divmod(i, BAND)
+        axes = grid[3 * band : 3 * band + 3, column]
+        heightmap, choice = one.heightmap, one.choice
+        axes[0].imshow(one.observation.color)
+        axes[0].set_title(f"{i + 1}: {one.outcome.cause}", fontsize=9)
+        axes[1].imshow(expit(affordances(heightmap.color, heightmap.height)[choice.angle]), cmap="inferno", vmin=0, vmax=1)
+        axes[1].set_title(f"predicted {choice.score:.2f}", fontsize=9)
+        _picture(axes[2], heightmap, one.pick, robot, "")
     figure.suptitle(title, fontsize=10)
     _save(figure, path)
 

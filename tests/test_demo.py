@@ -1,0 +1,58 @@
+"""The robot clears a bin for whoever watches."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import pytest
+import torch
+from hydra.utils import instantiate
+from see2act import trained
+from see2act.config import ConfigError, composed
+from see2act.demo import clear, main
+
+FEW = ("objects.kinds=1", "objects.copies=2", "seed=2")
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    cfg = composed(["model.width=4", "primitive=suction"])
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("models") / trained.FILE
+    trained.save(path, instantiate(cfg.model.network), cfg)
+    return path
+
+
+def test_it_tries_until_the_bin_is_empty_and_leaves_pictures(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    main([*FEW, "primitive=suction", "--checkpoint", str(model), "--out", str(tmp_path), "--no-film"])
+    told = capsys.readouterr().out
+    tried = told.count("score")
+    assert 2 <= tried <= 15
+    assert f"of {tried} picks succeeded" in told
+    assert tried == 15 or "the bin is empty" in told
+    folder = tmp_path / "suction-diverse-seed2"
+    assert cv2.imread(str(folder / "strip.png")).shape[0] > 400
+    assert not (folder / "clearing.mp4").exists()
+
+
+@pytest.mark.slow
+def test_the_film_can_be_played(model: Path, tmp_path: Path) -> None:
+    clear(["objects.kinds=1", "objects.copies=1", "primitive=suction"], model, tmp_path, film=True)
+    film = cv2.VideoCapture(str(tmp_path / "suction-diverse-seed0" / "clearing.mp4"))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) > 15
+    assert film.read()[0]
+    shutil.rmtree(tmp_path)
+
+
+def test_what_does_not_fit_is_refused(model: Path, tmp_path: Path) -> None:
+    with pytest.raises(trained.ModelFileError, match="trained for primitive=suction, not grasp"):
+        clear(["primitive=grasp"], model, tmp_path, film=False)
+    with pytest.raises(ConfigError, match=r"the model learned from 0\.0025"):
+        clear(["primitive=suction", "workspace=suction_real"], model, tmp_path, film=False)
+    with pytest.raises(SystemExit, match="is not there"):
+        main(["--checkpoint", str(tmp_path / "none.safetensors"), "--out", str(tmp_path)])
+    assert not list(tmp_path.iterdir())
