@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import importlib.util
 import logging
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -25,6 +28,21 @@ def code_hash(*places: str) -> str:
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             digest.update(f"{file.relative_to(SOURCES).as_posix()} {_meaning(file.read_text())}".encode())
     return digest.hexdigest()[:12]
+
+
+def foreign_code(node: Any) -> dict[str, str]:
+    """Hash of the source file of each ``_target_`` in plain configuration that is neither ours nor an installed package's."""
+    if isinstance(node, list):
+        return {name: digest for item in node for name, digest in foreign_code(item).items()}
+    if not isinstance(node, dict):
+        return {}
+    found = {name: digest for value in node.values() for name, digest in foreign_code(value).items()}
+    module = str(node.get("_target_", "")).rpartition(".")[0]
+    if module and not module.startswith("see2act."):
+        spec = importlib.util.find_spec(module)
+        if spec and spec.origin and not Path(spec.origin).is_relative_to(sys.prefix):
+            found[module] = hashlib.sha256(_meaning(Path(spec.origin).read_text()).encode()).hexdigest()[:12]
+    return found
 
 
 def _meaning(source: str) -> str:

@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from see2act import build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
-from see2act.cache import code_hash, once
+from see2act.cache import code_hash, foreign_code, once
 from see2act.config import config_hash, content_hash, relevant_trainer
 from see2act.dashboard import Dashboard
 from see2act.datamodules.collect import Collection, collect
@@ -121,6 +121,7 @@ class Run:
         keys |= {**_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
         keys |= {"trainer": relevant_trainer(cfg), "precision": cfg.precision}
         keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py", "pipeline.py", "seeding.py")
+        keys |= foreign_code(keys)
         path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
@@ -381,7 +382,7 @@ class Run:
         keys["collect"]["primitive"] = _plain(self.cfg.collect.primitive, "end_effector")
         keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")
         keys["versions"] = packages()
-        return content_hash(keys)
+        return content_hash(keys | foreign_code(keys))
 
     def _title(self) -> str:
         cfg = self.cfg

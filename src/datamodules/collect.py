@@ -10,12 +10,12 @@ import numpy as np
 from joblib import Parallel, delayed
 from see2act.datamodules.labels import View
 from see2act.files import replacing
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap
 from see2act.seeding import generator, seed_for
 from tqdm import tqdm
 
-RobotFactory = Callable[[], SimulatedRobot]
+RobotFactory = Callable[[], Robot]
 SCENES_IN_A_ROW = 3
 """Scenes that a worker makes in a row with one robot."""
 ARRAYS = ("color", "height", "valid", "clean_color", "clean_height", "clean_valid", "body")
@@ -95,7 +95,7 @@ def _scenes(make_robot: RobotFactory, seed: int, scenes: list[tuple[int, int]], 
         robot.close()
 
 
-def _scene(robot: SimulatedRobot, seed: int, scene: int, interactions: int, most_objects: int) -> Collection:
+def _scene(robot: Robot, seed: int, scene: int, interactions: int, most_objects: int) -> Collection:
     rng = generator("collect", seed, scene)
     background = robot.background()
     count = int(rng.integers(1, most_objects + 1))

@@ -32,14 +32,19 @@ MOTIONS = ("fast", "full")
 
 
 class Robot(ABC):
-    """What learning needs of a robot: a class for another robot implements these five."""
+    """What learning needs of a robot: a class for another one implements the methods without a body here."""
 
     workspace: Workspace
     primitive: str
 
     @abstractmethod
-    def reset(self, scene_seed: int, split: Split) -> None:
-        """Fill the bin anew; the scene and its sensor noise follow from ``scene_seed`` alone."""
+    def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
+        """Fill the bin anew; the scene and its sensor noise follow from ``scene_seed`` alone. ``count`` puts only that many of
+        the scene's objects in."""
+
+    @abstractmethod
+    def background(self) -> Heightmap:
+        """The empty bin. Clears the scene: call it before :meth:`reset`."""
 
     @abstractmethod
     def observe(self) -> Observation:
@@ -56,6 +61,11 @@ class Robot(ABC):
     @abstractmethod
     def close(self) -> None:
         """Give resources back."""
+
+    def truth(self) -> Truth:
+        """What is really in the bin, for labels; from a robot that can only sense, what it senses (use ``labels=vision``)."""
+        heightmap = self.observe().heightmap
+        return Truth(heightmap, np.full(heightmap.height.shape, -1))
 
     def film(self, path: Path) -> AbstractContextManager[None]:
         """Keep a video of what happens in the block as an MP4 at ``path``, if this robot is set to; by default it is not."""
@@ -123,7 +133,6 @@ class SimulatedRobot(Robot):
         return len(self.scene.bodies)
 
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
-        """As promised by :class:`Robot`; ``count`` drops only that many of the scene's objects."""
         for attempt in range(REBUILDS):
             rng = generator("scene", scene_seed, attempt)
             self._build()
@@ -139,7 +148,7 @@ class SimulatedRobot(Robot):
         self._noise = generator("sensor", scene_seed)
 
     def background(self) -> Heightmap:
-        """The empty bin, seen once without noise. Clears the scene: call it before :meth:`reset`."""
+        """As promised by :class:`Robot`, seen once and without noise."""
         if self._background is None:
             self._build()
             color, depth, _ = self._look()
@@ -153,7 +162,6 @@ class SimulatedRobot(Robot):
         return Observation(self._heightmap(color, sensed), color, sensed)
 
     def truth(self) -> Truth:
-        """What the simulator knows of the present scene."""
         color, depth, body = self._look()
         points = hm.point_cloud(depth, self.camera.intrinsics, self.camera.pose)
         heightmap = hm.project(color, depth, points, self.workspace)
