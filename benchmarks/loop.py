@@ -152,8 +152,8 @@ def pretraining(run: Run, collection: Collection, repeats: int) -> tuple[list[di
     """
     cfg = run.cfg
     data = VisionDataModule(collection, build.task(cfg), cfg.labels, cfg.pretrain.batch_size, cfg.pretrain.validation, 0)
-    steps = data.steps_per_epoch
-    module = VisionModule(run._network(0), cfg.pretrain.lr, cfg.pretrain.weight_decay, 1.0, steps, 0)
+    steps = len(data.train_dataloader())
+    module = VisionModule(run._network(0), cfg.pretrain.lr, cfg.pretrain.weight_decay, 1.0, 0)
     batch = next(iter(data.train_dataloader()))
     x, label = module.network.prepare(batch["color"], batch["height"]), batch["label"][:, None].float()
     ours, bare = [], []

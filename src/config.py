@@ -19,8 +19,8 @@ from see2act.cache import foreign_code
 
 LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
-LOCAL_TRAINER = ("accelerator", "devices", "logger", "log_every_n_steps", "num_sanity_val_steps")
-"""The same of the trainer's keys, with everything that starts with ``enable_``."""
+LOCAL_TRAINER = ("accelerator", "logger", "log_every_n_steps", "num_sanity_val_steps")
+"""The same of the trainer's keys, with everything that starts with ``enable_``, and one device."""
 HASH_LENGTH = 12
 
 
@@ -224,7 +224,8 @@ def config_hash(cfg: DictConfig) -> str:
 
 def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:
     """The trainer's keys that can change a result."""
-    return {str(k): v for k, v in cfg.trainer.items() if k not in LOCAL_TRAINER and not str(k).startswith("enable_")}
+    deciding = {str(k): v for k, v in cfg.trainer.items() if k not in LOCAL_TRAINER and not str(k).startswith("enable_")}
+    return {k: v for k, v in deciding.items() if (k, v) != ("devices", 1)}  # several share a batch's work, and change it
 
 
 def check_arguments(node: Any, path: str) -> None:

@@ -232,8 +232,7 @@ class Run:
         network = self._network(seed_for("vision", seed))
         network.normalization.set(*channel_statistics(collection))
         weight = (1 - data.positive_share) / data.positive_share if cfg.task.class_weight == "balanced" else 1.0
-        steps = data.steps_per_epoch * cfg.pretrain.epochs
-        module = VisionModule(network, cfg.pretrain.lr, cfg.pretrain.weight_decay, weight, steps, seed_for("augment", seed))
+        module = VisionModule(network, cfg.pretrain.lr, cfg.pretrain.weight_decay, weight, seed_for("augment", seed))
         trainer = self._trainer(max_epochs=cfg.pretrain.epochs)
         self._fit_to_the_end(trainer, module, data)
         checkpoint = {
@@ -276,7 +275,9 @@ class Run:
                 lambda step: self._evaluate_at(module, step),
                 cfg.primitive.name,
             )
-            trainer = self._trainer(max_epochs=self.attempts, callbacks=[loop], enable_progress_bar=False, limit_val_batches=0)
+            # The robot waits for each decision: one process, beside it. Only pre-training has use for more.
+            here = {"accelerator": "cpu", "devices": 1, "strategy": "auto", "enable_progress_bar": False}
+            trainer = self._trainer(max_epochs=self.attempts, callbacks=[loop], limit_val_batches=0, **here)
             module.train()  # Lightning keeps the mode it finds
             self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)
             for name, weights_only in (("affordance", True), ("last", False)):

@@ -33,12 +33,8 @@ class VisionDataModule(L.LightningDataModule):
         """Share of positive pixels over all observations."""
         tensors = [torch.from_numpy(a) for a in (collection.arrays["color"], collection.arrays["height"], labels)]
         self._train = TensorDataset(*[t[:-held_out] for t in tensors])
-        self._validation = TensorDataset(*[t[-held_out:] for t in tensors])
-
-    @property
-    def steps_per_epoch(self) -> int:
-        """Batches in an epoch."""
-        return len(self._train) // self._batch_size
+        # A copy, since memory that is shared twice cannot be handed to other processes (trainer=ddp).
+        self._validation = TensorDataset(*[t[-held_out:].clone() for t in tensors])
 
     def train_dataloader(self) -> DataLoader:
         return DataLoader(

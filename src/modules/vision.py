@@ -19,21 +19,21 @@ Batch = dict[str, Tensor]
 class VisionModule(L.LightningModule):
     """A network that learns a vision task from heightmaps and label maps.
 
-    Heightmaps are turned by a random angle, mirrored and shifted, since the affordance model will see turned ones.
+    Heightmaps are turned by a random angle, mirrored and shifted, since the affordance model will see turned ones. The
+    learning rate falls to zero over all steps (cosine).
 
     Args:
         network: The shared architecture.
         lr: Adam's learning rate at its peak.
         weight_decay: Adam's.
         pos_weight: Weight of a positive pixel against a negative one.
-        steps: Optimiser steps in all; the rate falls to zero over them (cosine).
         seed: Of the augmentation.
     """
 
-    def __init__(self, network: PixelNetwork, lr: float, weight_decay: float, pos_weight: float, steps: int, seed: int):
+    def __init__(self, network: PixelNetwork, lr: float, weight_decay: float, pos_weight: float, seed: int):
         super().__init__()
         self.network = network
-        self._lr, self._weight_decay, self._steps = lr, weight_decay, steps
+        self._lr, self._weight_decay = lr, weight_decay
         self.register_buffer("pos_weight", torch.tensor(pos_weight), persistent=False)
         self._augment = torch.Generator().manual_seed(seed)
 
@@ -60,7 +60,8 @@ class VisionModule(L.LightningModule):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         optimizer = torch.optim.AdamW(self.network.parameters(), lr=self._lr, weight_decay=self._weight_decay)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, self._steps)
+        steps = int(self.trainer.estimated_stepping_batches)  # fewer on several devices, which share each epoch
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def _turn(self, x: Float[Tensor, "B 4 H W"], label: Bool[Tensor, "B H W"]) -> tuple[Tensor, Tensor]:

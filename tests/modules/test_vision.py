@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import lightning as L
+import pytest
 import torch
 from see2act.modules.fcn7 import FCN7
 from see2act.modules.vision import VisionModule
+from torch.utils.data import DataLoader
 
 
 def _module(seed: int = 0) -> VisionModule:
     torch.manual_seed(0)
-    return VisionModule(FCN7(4), lr=1e-2, weight_decay=0.0, pos_weight=1.0, steps=60, seed=seed)
+    return VisionModule(FCN7(4), lr=1e-2, weight_decay=0.0, pos_weight=1.0, seed=seed)
 
 
 def test_labels_turn_with_their_images() -> None:
@@ -43,3 +46,27 @@ def test_learns_to_see_what_is_high() -> None:
         loss.backward()
         optimizer.step()
     assert loss.item() < 0.1
+
+
+def _data(count: int) -> list[dict[str, torch.Tensor]]:
+    generator = torch.Generator().manual_seed(0)
+    height = torch.rand(count, 32, 32, generator=generator) * 0.1
+    return [{"color": torch.zeros(32, 32, 3, dtype=torch.uint8), "height": h, "label": h > 0.05} for h in height]
+
+
+@pytest.mark.parametrize(("strategy", "devices"), [("auto", 1), ("ddp_fork", 2)])
+def test_one_and_several_processes_bring_the_weights_home(strategy: str, devices: int) -> None:
+    module = _module()
+    before = [parameter.detach().clone() for parameter in module.parameters()]
+    trainer = L.Trainer(
+        **{"accelerator": "cpu", "strategy": strategy, "devices": devices, "max_epochs": 3, "logger": False},
+        **{"enable_checkpointing": False, "enable_model_summary": False, "enable_progress_bar": False},
+        num_sanity_val_steps=0,
+    )
+    trainer.fit(module, DataLoader(_data(16), 4), DataLoader(_data(4), 4))
+    assert not all(torch.equal(a, b) for a, b in zip(before, module.parameters(), strict=True))
+    module.eval()
+    batch = next(iter(DataLoader(_data(4), 4)))
+    with torch.no_grad():
+        loss = module.loss(module(batch["color"], batch["height"]), batch["label"][:, None].float())
+    assert loss.item() == pytest.approx(float(trainer.callback_metrics["vision/val_loss"]), rel=0.05)
