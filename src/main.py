@@ -6,7 +6,9 @@ import json
 import logging
 import os
 import shutil
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -244,6 +246,9 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float:
 
     quiet()
     torch.set_num_threads(cfg.threads)
+    # As Ctrl-C does. Lightning would take note, and look at it after the next learning step, which an evaluation keeps waiting.
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     job = Run(cfg, folder)
     try:
         job.check_weights()

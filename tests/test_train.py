@@ -166,6 +166,20 @@ def test_same_seed_same_attempts_and_a_killed_run_continues(tmp_path: Path, cach
     assert json.loads((killed / "result.json").read_text())["evals"] == json.loads((whole / "result.json").read_text())["evals"]
 
 
+def test_kill_ends_a_run_promptly_while_it_is_evaluated_too(tmp_path: Path, cache: Path) -> None:
+    folder = tmp_path / "run"
+    overrides = ("logger=none", "task=none", "transfer=none", "finetune.attempts=9", "evaluate.at=[0,1]", "evaluate.runs=8")
+    process = subprocess.Popen(_command(folder, cache, *overrides), cwd=tmp_path, stderr=subprocess.DEVNULL)
+    try:
+        while not any(r["phase"] == "eval" for r in (_rows(folder) if (folder / "attempts.csv").exists() else [])):
+            assert process.poll() is None
+            time.sleep(0.1)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=5) != 0
+    finally:
+        process.kill()
+
+
 def test_a_vision_model_of_another_width_is_refused_before_any_work(run: tuple[Path, str], tmp_path: Path) -> None:
     weights = run[0] / "checkpoints" / "vision.ckpt"
     foreign = tmp_path / "foreign.ckpt"
