@@ -11,7 +11,7 @@ import torch
 from hydra.utils import instantiate
 from see2act import trained
 from see2act.config import ConfigError, composed
-from see2act.demo import clear, main
+from see2act.demo import MODELS, clear, main
 
 FEW = ("objects.kinds=1", "objects.copies=2", "seed=2")
 
@@ -56,3 +56,13 @@ def test_what_does_not_fit_is_refused(model: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="is not there"):
         main(["--checkpoint", str(tmp_path / "none.safetensors"), "--out", str(tmp_path)])
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("primitive", ["suction", "grasp"])
+def test_the_models_that_are_shipped_clear_most_of_a_bin(primitive: str, tmp_path: Path) -> None:
+    """As any run's file, with the configuration that made it; and they pick."""
+    shipped = trained.load(MODELS / f"{primitive}.safetensors", primitive)
+    assert shipped.config_hash in (MODELS / "README.md").read_text()
+    picked, tried = clear([f"primitive={primitive}"], None, tmp_path, film=False)
+    assert picked >= 6
+    assert tried <= 15

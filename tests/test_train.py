@@ -349,6 +349,15 @@ def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, cache: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in done} == before
 
 
+def test_submitit_runs_the_jobs_of_a_sweep(tmp_path: Path, cache: Path) -> None:
+    """Its local form, which is what SLURM's differs from in who starts the processes."""
+    sweep = tmp_path / "sweep"
+    overrides = ("task=none", "transfer=none", "seed=0,1", "finetune.attempts=1", "hydra/launcher=submitit_local")
+    done = _swept(sweep, cache, *overrides)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert len(list(sweep.rglob("result.json"))) == 2
+
+
 def test_ctrl_c_ends_a_sweep_promptly(tmp_path: Path, cache: Path) -> None:
     overrides = ("task=none", "transfer=none", "seed=0,1,2,3", "finetune.attempts=400", "hydra.launcher.n_jobs=2")
     sweep = tmp_path / "sweep"
