@@ -22,7 +22,10 @@ class CountingRobot(Robot):
         self.resets: list[tuple[int, str]] = []
         self.picks: list[Pick] = []
 
-    def reset(self, scene_seed: int, split: str) -> None:
+    def background(self) -> Heightmap:
+        raise NotImplementedError  # evaluation has no use for it
+
+    def reset(self, scene_seed: int, split: str, count: int | None = None) -> None:
         self.resets.append((scene_seed, split))
         self._left, self._tries = self._objects, 0
 
