@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -64,7 +65,7 @@ def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bo
             for attempt in one_test_run(robot, model.affordances, build.policy(cfg), scene, "unseen", ATTEMPTS):
                 done.append(attempt)
                 pick, outcome = attempt.pick, attempt.outcome
-                turn = f", {pick.angle * 57.2958:3.0f} degrees" if cfg.primitive.angles > 1 else ""
+                turn = f", {math.degrees(pick.angle):3.0f} degrees" if cfg.primitive.angles > 1 else ""
                 place = f"x {pick.x:+.3f} y {pick.y:+.3f} z {pick.z:.3f} m{turn}"
                 print(f"pick {len(done):2}  {place}  score {attempt.choice.score:.2f}  {outcome.cause}", flush=True)
         emptied = robot.bin_empty()

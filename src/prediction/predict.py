@@ -123,7 +123,8 @@ def predict(
     empty = depth if background is None else background
     pose = floor_pose(empty, centred) if pose is None else np.asarray(pose, float)
     points = point_cloud(depth, centred, pose)
-    low_x, low_y, high_x, high_y = bounds or _floor_bounds(point_cloud(empty, centred, pose), empty)
+    empty_points = points if background is None else point_cloud(background, centred, pose)
+    low_x, low_y, high_x, high_y = bounds or _floor_bounds(empty_points, empty)
     workspace = _workspace((high_x - low_x, high_y - low_y), model.pixel)
     middle = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2, 0], np.float32)
     points = points - middle
@@ -135,7 +136,7 @@ def predict(
     source[rows, cols] = index
     allowed = source >= 0
     if background is not None:
-        under = project(color, background, point_cloud(background, centred, pose) - middle, workspace)
+        under = project(color, background, empty_points - middle, workspace)
         allowed &= heightmap.height - under.height > STATIC
     logits = np.where(allowed, model.affordances(heightmap.color, heightmap.height), -np.inf)
     camera = point_cloud(depth, centred, np.eye(4)).reshape(-1, 3)
