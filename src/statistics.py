@@ -43,11 +43,34 @@ def difference_interval(successes: int, attempts: int, others: int, their_attemp
 
 def mean_interval(rates: Sequence[float]) -> tuple[float, float] | None:
     """95 % t interval of the mean of independent rates, cut to [0, 1]; None for fewer than two, which have no spread."""
-    if len(rates) < 2:
+    if (interval := t_interval(rates)) is None:
         return None
-    mean, spread = float(np.mean(rates)), float(np.std(rates, ddof=1))
-    half = float(t.ppf(0.975, len(rates) - 1)) * spread / math.sqrt(len(rates))
-    return max(0.0, mean - half), min(1.0, mean + half)
+    return max(0.0, interval[0]), min(1.0, interval[1])
+
+
+def t_interval(values: Sequence[float]) -> tuple[float, float] | None:
+    """95 % t interval of the mean of independent values; None for fewer than two."""
+    if len(values) < 2:
+        return None
+    mean, spread = float(np.mean(values)), float(np.std(values, ddof=1))
+    half = float(t.ppf(0.975, len(values) - 1)) * spread / math.sqrt(len(values))
+    return mean - half, mean + half
+
+
+def mean_difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[float, float] | None:
+    """95 % interval of the difference of two means, ``a`` less ``b``, of unequal variances (Welch 1947).
+
+    None where either has fewer than two values.
+    """
+    if min(len(a), len(b)) < 2:
+        return None
+    difference = float(np.mean(a) - np.mean(b))
+    left, right = (float(np.var(x, ddof=1)) / len(x) for x in (a, b))
+    if left + right == 0:
+        return difference, difference
+    freedom = (left + right) ** 2 / (left**2 / (len(a) - 1) + right**2 / (len(b) - 1))
+    half = float(t.ppf(0.975, freedom)) * math.sqrt(left + right)
+    return difference - half, difference + half
 
 
 def interquartile_mean(scores: Float[np.ndarray, "*samples n"]) -> Float[np.ndarray, "*samples"]:

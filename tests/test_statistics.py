@@ -9,7 +9,9 @@ from see2act.statistics import (
     improvement_interval,
     interquartile_interval,
     interquartile_mean,
+    mean_difference_interval,
     mean_interval,
+    t_interval,
     wilson,
 )
 
@@ -105,3 +107,17 @@ def test_a_rate_lies_within_its_interval_despite_rounding() -> None:
         for successes in range(n + 1):
             low, high = wilson(successes, n)
             assert 0 <= low <= successes / n <= high <= 1
+
+
+def test_the_difference_of_means_has_welch_s_interval() -> None:
+    a, b = [0.9, 0.8, 0.7], [0.5, 0.1, 0.2, 0.4]
+    expected = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    assert mean_difference_interval(a, b) == pytest.approx((expected.low, expected.high))
+    assert mean_difference_interval([1, 1], [0.5, 0.5, 0.5]) == (0.5, 0.5)
+    assert mean_difference_interval([1], [0.5, 0.5]) is None
+
+
+def test_changes_may_be_negative() -> None:
+    low, high = t_interval([-0.2, -0.1, -0.3]) or (0, 0)
+    assert (low + high) / 2 == pytest.approx(-0.2)
+    assert low < -0.4

@@ -1,7 +1,7 @@
 """Tables and figures of all runs in a folder, with the paper's numbers beside ours.
 
-Writes report.html (one file, nothing else needed), table.csv, table.md and figures/ into the folder. What cannot be averaged
-is kept apart, and said: here, and at the top of the page.
+Writes report.html (one file, nothing else needed), table.csv, table.md, progress.csv (success on the way) and figures/ into
+the folder. What cannot be averaged is kept apart, and said: here, and at the top of the page.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
     for notice in found.notices:
         print(f"NOTE  {notice}")
-    for name in ("report.html", "table.csv", "table.md", "figures"):
+    for name in ("report.html", "table.csv", "table.md", "progress.csv", "figures"):
         print(args.folder / name)
 
 
@@ -62,6 +62,8 @@ def report(folder: Path) -> Found:
     rows = summary.rows(found)
     summary.write_csv(rows, folder / "table.csv")
     summary.write_markdown(rows, folder / "table.md")
+    steps = [line for bench in found.benches for line in summary.progress(bench)]
+    summary.write_csv(steps, folder / "progress.csv", summary.PROGRESS_COLUMNS)
     pictures: dict[str, list[plots.Picture]] = {}
     with tqdm(total=len(found.benches) * len(plots.FIGURES), desc="draw", disable=None) as bar:
         for bench in found.benches:
@@ -70,5 +72,5 @@ def report(folder: Path) -> Found:
                 pictures[bench.slug].append(picture)
                 bar.update()
     plots.clear(folder / "figures", [picture for drawn in pictures.values() for picture in drawn])
-    page.write(found, rows, pictures, folder)
+    page.write(found, rows, steps, pictures, folder)
     return found

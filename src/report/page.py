@@ -43,12 +43,13 @@ class Specimen:
     outcome: str
 
 
-def write(found: Found, rows: list[Row], pictures: dict[str, list[Picture]], folder: Path) -> Path:
+def write(found: Found, rows: list[Row], steps: list[Row], pictures: dict[str, list[Picture]], folder: Path) -> Path:
     """Make ``report.html`` in ``folder``.
 
     Args:
         found: What it is about.
         rows: Of ``table.csv``.
+        steps: Of ``progress.csv``.
         pictures: By bench's slug.
         folder: Which was searched.
     """
@@ -60,7 +61,7 @@ def write(found: Found, rows: list[Row], pictures: dict[str, list[Picture]], fol
         title=folder.resolve().name,
         rows=rows,
         primitives=list(dict.fromkeys(row["primitive"] for row in rows)),
-        benches=[_bench(bench, pictures[bench.slug], folder) for bench in found.benches],
+        benches=[_bench(bench, rows, steps, pictures[bench.slug], folder) for bench in found.benches],
         versions=_versions(found),
         paper=paper,
         hours=sum(map(seconds, found.runs)) / 3600,
@@ -72,14 +73,25 @@ def write(found: Found, rows: list[Row], pictures: dict[str, list[Picture]], fol
     return path
 
 
-def _bench(bench: Bench, pictures: list[Picture], folder: Path) -> dict[str, Any]:
+def _bench(bench: Bench, rows: list[Row], steps: list[Row], pictures: list[Picture], folder: Path) -> dict[str, Any]:
+    progress = []
+    for arm in bench.arms:
+        mine = [step for step in steps if _of(step, bench, arm) and step["split"] == "unseen"]
+        progress.append((arm, {int(step["step"]): step for step in mine}, next(row for row in rows if _of(row, bench, arm))))
     return {
         "bench": bench,
         "pictures": pictures,
+        "steps": sorted({step for _, cells, _ in progress for step in cells}),
+        "progress": progress,
         "comparisons": [*comparisons(bench, "after_unseen"), *comparisons(bench, "learning")],
         "aggregates": aggregates(bench),
         "specimens": [_specimen(arm, folder) for arm in bench.arms],
     }
+
+
+def _of(row: Row, bench: Bench, arm: Arm) -> bool:
+    """Whether a row is an arm's."""
+    return (row["primitive"], row["setting"], row["config_hash"]) == (bench.primitive, str(bench.number or ""), arm.hash)
 
 
 def _specimen(arm: Arm, folder: Path) -> Specimen:

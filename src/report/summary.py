@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +12,15 @@ import numpy as np
 from see2act.files import replacing
 from see2act.report import paper
 from see2act.report.benches import ENOUGH, Arm, Bench, Found
+from see2act.report.runs import SPLITS
 from see2act.statistics import (
     improvement,
     improvement_interval,
     interquartile_interval,
     interquartile_mean,
+    mean_difference_interval,
     mean_interval,
+    t_interval,
     wilson,
 )
 
@@ -32,12 +36,17 @@ MEASURES = {
 LEARNING = "learning"
 """The measure of exploring attempts while fine-tuning."""
 PARTS = ("mean", "low", "high", "successes", "attempts", "wilson_low", "wilson_high")
+GAINS = {f"gain_{split}": (f"after_{split}", f"zero_shot_{split}") for split in ("unseen", "seen")}
+"""What fine-tuning changed: a seed's rate after less its rate before, on the same scenes."""
+GAIN_PARTS = ("mean", "low", "high", "lowest")
 IQM = ("after_unseen_iqm", "after_unseen_iqm_low", "after_unseen_iqm_high")
 COLUMNS = (
     *("primitive", "setting", "task", "transfer", "model", "config_hash", "differs", "seeds", "paper_unseen"),
     *(f"{measure}_{part}" for measure in (*MEASURES, LEARNING) for part in PARTS),
+    *(f"{gain}_{part}" for gain in GAINS for part in GAIN_PARTS),
     *(*IQM, "note"),
 )
+PROGRESS_COLUMNS = ("primitive", "setting", "task", "transfer", "model", "config_hash", "seeds", "step", "split", *PARTS)
 Row = dict[str, str]
 """Column to text, exactly as it is shown; empty where there is no number."""
 
@@ -58,14 +67,31 @@ def rows(found: Found) -> list[Row]:
     return sorted(lines, key=lambda row: [order.index(row[name]) for name, order in orders])
 
 
-def _row(bench: Bench, arm: Arm) -> Row:
-    row = {
+def progress(bench: Bench) -> list[Row]:
+    """Success by the protocol on the way: a row for every arm, split and step at which all its seeds were tested."""
+    lines = []
+    for arm in bench.arms:
+        steps = [{point["step"]: point for point in run.result["evals"]} for run in arm.runs]
+        for split in SPLITS:
+            for step in sorted(set.intersection(*map(set, steps))):
+                counts = [(at[step][split]["successes"], at[step][split]["attempts"]) for at in steps]
+                lines.append({**_identity(bench, arm), "step": str(step), "split": split, **_summed(counts)})
+    return lines
+
+
+def _identity(bench: Bench, arm: Arm) -> Row:
+    return {
         **{"primitive": bench.primitive, "setting": str(bench.number or ""), "task": arm.task, "transfer": arm.transfer},
-        **{"model": bench.setting["model"], "config_hash": arm.hash, "differs": arm.differs},
-        **{"seeds": " ".join(map(str, arm.seeds)), "paper_unseen": _rounded(published_for(bench, arm))},
+        **{"model": bench.setting["model"], "config_hash": arm.hash, "seeds": " ".join(map(str, arm.seeds))},
     }
+
+
+def _row(bench: Bench, arm: Arm) -> Row:
+    row = {**_identity(bench, arm), "differs": arm.differs, "paper_unseen": _rounded(published_for(bench, arm))}
     for measure in (*MEASURES, LEARNING):
         row |= {f"{measure}_{part}": text for part, text in _measured(arm, measure).items()}
+    if arm.learned:
+        row |= {f"{gain}_{part}": text for gain, pair in GAINS.items() for part, text in _gained(arm, *pair).items()}
     scores = scores_of(arm)
     interval = interquartile_interval([scores]) if len(arm.runs) >= ENOUGH else (None, None)
     row |= dict(zip(IQM, map(_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))
@@ -73,12 +99,21 @@ def _row(bench: Bench, arm: Arm) -> Row:
 
 
 def _measured(arm: Arm, measure: str) -> Row:
-    each = rates(arm, measure)
-    if not each:
-        return {}
-    successes, attempts = (sum(column) for column in zip(*_counts(arm, measure), strict=True))
+    return _summed(_counts(arm, measure)) if rates(arm, measure) else {}
+
+
+def _summed(counts: list[tuple[int, int]]) -> Row:
+    """Successes and attempts of each seed as ``PARTS``."""
+    each = [successes / attempts for successes, attempts in counts]
+    successes, attempts = (sum(column) for column in zip(*counts, strict=True))
     numbers = (float(np.mean(each)), *(mean_interval(each) or (None, None)), successes, attempts, *wilson(successes, attempts))
     return dict(zip(PARTS, map(_text, numbers), strict=True))
+
+
+def _gained(arm: Arm, after: str, before: str) -> Row:
+    each = [a - b for a, b in zip(rates(arm, after), rates(arm, before), strict=True)]
+    numbers = (float(np.mean(each)), *(t_interval(each) or (None, None)), min(each))
+    return dict(zip(GAIN_PARTS, map(_text, numbers), strict=True))
 
 
 def _counts(arm: Arm, measure: str) -> list[tuple[int, int]]:
@@ -139,10 +174,14 @@ class Comparison:
     arm: Arm
     other: Arm
     measure: str
+    verdict: str
     probability: str
     low: str
     high: str
-    verdict: str
+    difference: str
+    """Of the means."""
+    difference_low: str
+    difference_high: str
 
 
 def comparisons(bench: Bench, measure: str) -> list[Comparison]:
@@ -155,12 +194,14 @@ def comparisons(bench: Bench, measure: str) -> list[Comparison]:
     ]
     compared = []
     for arm, other in pairs:
-        a, b = (np.array(rates(each, measure)) for each in (arm, other))
-        if len(a) and len(b):
-            low, high = improvement_interval(a, b)
-            share = float(improvement(a, b))
-            texts = (_text(share), _text(low), _text(high))
-            compared.append(Comparison(arm, other, measure, *texts, verdict(len(a), len(b), low, high)))
+        a, b = (rates(each, measure) for each in (arm, other))
+        if not (a and b):
+            continue
+        left, right = np.array(a), np.array(b)
+        low, high = improvement_interval(left, right)
+        limits = mean_difference_interval(a, b) or (None, None)
+        numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
+        compared.append(Comparison(arm, other, measure, verdict(len(a), len(b), low, high), *map(_text, numbers)))
     return compared
 
 
@@ -202,10 +243,10 @@ def aggregates(bench: Bench) -> list[Aggregate]:
     return together
 
 
-def write_csv(lines: list[Row], path: Path) -> None:
+def write_csv(lines: list[Row], path: Path, columns: Sequence[str] = COLUMNS) -> None:
     """All columns of all rows."""
     with replacing(path) as partial, partial.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
+        writer = csv.DictWriter(file, columns)
         writer.writeheader()
         writer.writerows(lines)
 

@@ -52,6 +52,8 @@ def test_arms_are_compared_with_the_baseline_and_within_their_source(make_run: M
         "1.000",
         "better",
     )
+    gap = found["normal, full", "none (random)"]
+    assert (gap.difference, gap.difference_low, gap.difference_high) == ("0.500", "0.277", "0.723")  # 0.5 +- 2.447 * 0.0913
     assert found["normal, backbone", "none (random)"].probability == "0.500"
     assert found["normal, backbone", "normal, full"].verdict == "worse"
     together = aggregates(bench)

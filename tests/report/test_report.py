@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 import subprocess
 import sys
@@ -100,6 +101,35 @@ def test_the_table_holds_what_one_computes_by_hand(make_run: MakeRun, runs: Path
     assert (row["zero_shot_seen_mean"], row["zero_shot_seen_low"]) == ("0.350", "0.350")
     assert (row["learning_mean"], row["learning_successes"], row["learning_attempts"]) == ("0.500", "60", "120")
     assert (row["argmax_seen_mean"], row["argmax_seen_attempts"]) == ("0.350", "60")
+    assert (row["gain_unseen_mean"], row["gain_unseen_lowest"]) == ("0.383", "0.250")  # of 0.5, 0.25 and 0.4
+    low, high = t.interval(0.95, 2, loc=1.15 / 3, scale=0.1258306 / 3**0.5)
+    assert (row["gain_unseen_low"], row["gain_unseen_high"]) == (f"{low:.3f}", f"{high:.3f}")
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_success_on_the_way_is_given_where_every_seed_has_it(make_run: MakeRun, runs: Path) -> None:
+    make_run(seed=0)
+    folder = make_run(seed=1, unseen=[(3, 10), (2, 10)])
+    result = json.loads((folder / "result.json").read_text())
+    result["evals"].insert(1, {**result["evals"][0], "step": 20})
+    (folder / "result.json").write_text(json.dumps(result))
+    report(runs)
+    with (runs / "progress.csv").open(newline="") as file:
+        rows = {(row["step"], row["split"]): row for row in csv.DictReader(file)}
+    assert set(rows) == {(step, split) for step in ("0", "40") for split in ("seen", "unseen")}
+    last = rows["40", "unseen"]
+    assert (last["seeds"], last["mean"], last["successes"], last["attempts"]) == ("0 1", "0.550", "22", "40")
+    page = (runs / "report.html").read_text()
+    table = page[page.index('<table class="progress">') :]
+    assert "<b>0.550</b>" in table[: table.index("</table>")]
+    assert "<small>least -0.100</small>" in table[: table.index("</table>")]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_nothing_is_said_to_be_gained_where_nothing_was_learned(make_run: MakeRun, runs: Path) -> None:
+    make_run(learned=[])
+    report(runs)
+    assert _row(runs, "normal", "full")["gain_unseen_mean"] == ""
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -340,7 +370,9 @@ def test_the_page_is_whole_and_needs_nothing_else(sweep: Path) -> None:
     assert (sweep / video).is_file()
     assert {link for link in links if link != video} <= {f"#{name}" for name in page.ids}
     assert not re.search(r"https?://", text)
-    assert {path.name for path in sweep.iterdir()} == {"suction", "report.html", "table.csv", "table.md", "figures"}
+    assert {path.name for path in sweep.iterdir()} == {
+        *("suction", "report.html", "table.csv", "table.md", "progress.csv", "figures"),
+    }
 
 
 def test_the_page_shows_the_numbers_of_the_table(sweep: Path) -> None:
@@ -367,7 +399,7 @@ def test_what_is_kept_gives_the_same_tables_and_page(sweep: Path, make_run: Make
     assert not list(kept.rglob("checkpoints"))
     assert {path.suffix for path in kept.rglob("*.*") if path.is_file()} <= {".json", ".yaml", ".gz", ".jpg"}
     main([str(kept)])
-    for name in ("table.csv", "table.md"):
+    for name in ("table.csv", "table.md", "progress.csv"):
         assert (kept / name).read_bytes() == (sweep / name).read_bytes()
     assert (kept / "report.html").read_text().count("<img") == (sweep / "report.html").read_text().count("<img")
     drawn = {path.name for path in (sweep / "figures").iterdir()}
