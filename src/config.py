@@ -262,6 +262,17 @@ def content_hash(data: object) -> str:
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:HASH_LENGTH]
 
 
+def check_keys(cfg: DictConfig) -> None:
+    """Refuse keys that nothing reads, which ``+key=value`` lets in.
+
+    Raises:
+        ConfigError: With the keys that there are.
+    """
+    known = Config.__dataclass_fields__
+    if unknown := [str(key) for key in cfg if key not in known]:
+        raise ConfigError(f"there is no configuration key '{unknown[0]}': the keys are {', '.join(known)}")
+
+
 def illegal_cell(cfg: DictConfig) -> str | None:
     """Why a task and a transfer do not go together, with the mend; None where they do."""
     task, transfer = cfg.task.name, cfg.transfer.name
@@ -285,6 +296,7 @@ def validate(cfg: DictConfig) -> None:
     Raises:
         ConfigError: With one line that names the mend.
     """
+    check_keys(cfg)
     if reason := illegal_cell(cfg):
         raise ConfigError(reason)
     _choice("labels", cfg.labels, ("truth", "vision"))

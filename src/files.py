@@ -7,6 +7,11 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+
+class DamagedFile(ValueError):
+    """A file that is not what this project wrote; the message is one line and names the mend."""
 
 
 @contextmanager
@@ -19,6 +24,20 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def read_json(path: Path) -> Any:
+    """What :func:`write_json` wrote.
+
+    Raises:
+        DamagedFile: It is no JSON.
+    """
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise DamagedFile(
+            f"{path} is damaged ({' '.join(str(error).split())}): delete it and type the same command again"
+        ) from None
 
 
 def write_json(path: Path, data: object) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import shutil
@@ -16,14 +15,17 @@ from typing import Any
 import hydra
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.types import Glob
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from see2act.config import ConfigError, check_arguments, config_hash, illegal_cell, register, validate
+from see2act.config import Config, ConfigError, check_arguments, check_keys, config_hash, illegal_cell, register, validate
+from see2act.files import DamagedFile, read_json
 from see2act.results import versions
 from see2act.sweep import (
     FAILED,
+    LEFT_OUT,
     MISSING,
     OTHER,
     SKIPPED,
@@ -62,9 +64,12 @@ def main() -> None:
     """Run ``train.py`` with the process's arguments."""
     register()
     try:
-        if not any(argument.split("=")[0] in FLAGS for argument in sys.argv[1:]):
+        flags = {argument.split("=")[0] for argument in sys.argv[1:] if argument.startswith("-")}
+        if flags and flags <= {"-m", "--multirun"}:
+            _check_sweep([argument for argument in sys.argv[1:] if not argument.startswith("-")])
+        elif not any(argument.split("=")[0] in FLAGS for argument in sys.argv[1:]):
             _check(sys.argv[1:])
-    except ConfigError as error:
+    except (ConfigError, DamagedFile) as error:
         sys.exit(f"see2act: {error}")
     _hydra_main()
     if Summary.failures:
@@ -77,26 +82,68 @@ def _check(overrides: list[str]) -> None:
     Raises:
         ConfigError: With one line.
     """
-    from hydra import compose, initialize_config_module
-
-    with initialize_config_module("see2act.conf", version_base="1.3"):
-        try:
-            cfg = compose("train", overrides, return_hydra_config=True)
-            OmegaConf.resolve(cfg.hydra.run)
-            folder = Path(cfg.hydra.run.dir)
-            plain = compose("train", overrides)
-            validate(plain)
-        except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(_one_line(error)) from None
+    if experiment := next((o.split("=")[1] for o in overrides if o.lstrip("+").startswith("experiment=")), None):
+        raise ConfigError(
+            f"experiment={experiment} is a sweep: add -m, and primitive=, task=, transfer= and seed= if you want one run of it"
+        )
+    cfg = _composed(overrides, return_hydra_config=True)
+    plain = _composed(overrides)
+    try:
+        OmegaConf.resolve(cfg.hydra.run)
+        folder = Path(cfg.hydra.run.dir)
+        validate(plain)
+    except OmegaConfBaseException as error:
+        raise ConfigError(_one_line(error)) from None
     _check_parts(plain)
     _check_writable(folder)
     _check_writable(Path(plain.paths.cache))
     refuse_foreign(folder, plain)
 
 
+def _check_sweep(overrides: list[str]) -> None:
+    """Refuse keys and options that do not exist, in one line; what a job cannot run with, that job says.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    try:
+        parsed = OverridesParser.create().parse_overrides(overrides)
+    except HydraException as error:
+        raise ConfigError(_one_line(error)) from None
+    first, others = [], []
+    for override in parsed:
+        if not override.is_sweep_override():
+            first.append(str(override.input_line))
+        elif not isinstance(override.value(), Glob):  # which takes what there is
+            value, *more = (f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator())
+            first.append(value)
+            others += more if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
+    cfg = _composed(first)
+    check_keys(cfg)
+    for option in others:
+        if OmegaConf.is_config(cfg[option.split("=")[0]]):
+            _composed([*first, option])
+
+
+def _composed(overrides: list[str], return_hydra_config: bool = False) -> DictConfig:
+    from hydra import compose, initialize_config_module
+
+    with initialize_config_module("see2act.conf", version_base="1.3"):
+        try:
+            return compose("train", overrides, return_hydra_config=return_hydra_config)
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(_one_line(error)) from None
+
+
 def _one_line(error: Exception) -> str:
     """Hydra's explanation on one line, its tabs and blank lines folded."""
-    text = " ".join(str(error).split("Set the environment variable")[0].split())
+    cause = error.__cause__ if str(error).startswith("Error merging override") and error.__cause__ else None
+    told = f"{error}: {cause}" if cause else str(error)
+    for noise in ("Set the environment variable", "Config search path:", "full_key:"):
+        told = told.split(noise)[0]
+    text = " ".join(told.split())
     if "Could not override" in text and "To append to your config" in text:
         key = text.split("Could not override '")[1].split("'")[0]
         return f"there is no configuration key '{key}': see `python train.py --cfg job` for all of them"
@@ -141,29 +188,34 @@ def _hydra_main(cfg: DictConfig) -> float | None:
         return _job(cfg, folder, Path(HydraConfig.get().sweep.dir).absolute())
     try:
         return _checked(cfg, folder)
-    except ConfigError as error:
+    except (ConfigError, DamagedFile) as error:
         sys.exit(f"see2act: {error}")
 
 
 def _job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
     """A run of a sweep, or a note why there is none: one job that fails must not end the others."""
     clear_notes(folder)
-    if cfg.cells and f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}" not in cfg.cells:
-        return None
+    cell = f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}"
     if reason := illegal_cell(cfg):
         if not cfg.cells:  # of an experiment that names its cells nobody misses the others
             note(folder, SKIPPED, f"{cfg.primitive.name}: {reason}")
         return None
-    if twin := finished_elsewhere(folder, sweep):
-        link(twin, folder)
-    result = folder / "result.json"
-    if result.exists() and not cfg.force and not of_this_version(result):
-        note(folder, OTHER, f"{result}")
+    if cfg.cells and cell not in cfg.cells:
+        note(folder, LEFT_OUT, cell)
         return None
     try:
+        if twin := finished_elsewhere(folder, sweep):
+            link(twin, folder)
+        result = folder / "result.json"
+        if not cfg.force and (not of_this_version(result) if result.exists() else _begun_by_another_version(folder)):
+            note(folder, OTHER, "finished" if result.exists() else "begun, and not finished")
+            return None
         return _checked(cfg, folder)
     except MissingWeights as error:
         note(folder, MISSING, str(error))
+    except (ConfigError, DamagedFile) as error:
+        log.error("this job failed: %s", error)
+        note(folder, FAILED, str(error))
     except Exception as error:
         log.exception("this job failed")
         note(folder, FAILED, f"{type(error).__name__}: {error}")
@@ -191,7 +243,7 @@ def refuse_foreign(folder: Path, cfg: DictConfig) -> None:
     used = known or any((folder / name).exists() for name in ("result.json", "attempts.csv"))
     if used and {key: known.get(key) for key in identity(cfg)} != identity(cfg):
         raise ConfigError(f"{folder} holds a run of another configuration: choose another hydra.run.dir=, or move it away")
-    if known and known.get("versions") != versions() and not (folder / "result.json").exists() and not cfg.force:
+    if _begun_by_another_version(folder) and not (folder / "result.json").exists() and not cfg.force:
         raise ConfigError(
             f"{folder} holds a run that another version of the code or of its packages began: force=true moves it aside and "
             "runs anew"
@@ -200,8 +252,13 @@ def refuse_foreign(folder: Path, cfg: DictConfig) -> None:
 
 def _begun(folder: Path) -> dict[str, Any]:
     note = folder / "run.json"
-    known: dict[str, Any] = json.loads(note.read_text()) if note.exists() else {}
+    known: dict[str, Any] = read_json(note) if note.exists() else {}
     return known
+
+
+def _begun_by_another_version(folder: Path) -> bool:
+    known = _begun(folder)
+    return bool(known) and known.get("versions") != versions()
 
 
 def run(cfg: DictConfig, folder: Path) -> float:
@@ -235,7 +292,7 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float:
         log.info("this run is finished already%s; force=true runs it anew: %s", by, result)
         if cfg.robot.get("video") and not (folder / "video.mp4").exists():
             log.info("it was not filmed, and only force=true makes a film of it")
-        return float(json.loads(result.read_text())["eval"]["unseen"]["rate"])
+        return float(read_json(result)["eval"]["unseen"]["rate"])
     # Imported late: torch and lightning take seconds, which --help should not.
     import torch
     from see2act.files import write_json

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import time
@@ -11,17 +10,24 @@ from typing import Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
+from see2act.files import DamagedFile, read_json
 from see2act.results import versions
 
 log = logging.getLogger("see2act")
-SKIPPED, MISSING, FAILED, OTHER = "skipped.txt", "missing.txt", "failed.txt", "other_version.txt"
+SKIPPED, LEFT_OUT, MISSING, FAILED, OTHER = "skipped.txt", "left_out.txt", "missing.txt", "failed.txt", "other_version.txt"
 """Notes that a job leaves in its folder: one line each."""
 TOLD = {
     SKIPPED: "combinations were skipped, since they make no sense",
+    LEFT_OUT: "cells were left out, since the experiment does not name them: cells=[] runs all that make sense",
     MISSING: "jobs were skipped, since their weights are not here",
-    OTHER: "runs were finished by another version of the code, and are not run again: force=true runs them anew",
+    OTHER: (
+        "runs are of another version of the code, and were not touched: to run one anew, add its primitive=, task=, transfer= "
+        "and seed= to the same command, and force=true, which moves the old one aside"
+    ),
     FAILED: "jobs FAILED, and run again when the same sweep is started again",
 }
+OF_CELLS, NOT_RUN = (SKIPPED, LEFT_OUT), (MISSING, OTHER, FAILED)
+"""Notes that say the same of all seeds, and notes of one run."""
 
 
 class Summary(Callback):
@@ -43,12 +49,16 @@ class Summary(Callback):
         for name, words in TOLD.items():
             notes = [note for note in sorted(folder.rglob(name)) if note.stat().st_mtime >= self._start]
             lines = [f"{note.parent.relative_to(folder)}: {note.read_text()}" for note in notes]
-            if name == SKIPPED:  # once for all seeds and hashes
+            if name in OF_CELLS:
                 lines = sorted({note.read_text() for note in notes})
             if lines:
                 log.info("%d %s:\n  %s", len(lines), words, "\n  ".join(lines))
             if name == FAILED:
                 Summary.failures = len(lines)
+        jobs = [path.parent.parent for path in folder.rglob(".hydra/config.yaml") if path.stat().st_mtime >= self._start]
+        if jobs and not any((job / name).exists() for job in jobs for name in ("run.json", "result.json", *NOT_RUN)):
+            log.error("not one job ran: none of these combinations makes sense and is a cell of the experiment")
+            Summary.failures += 1
 
 
 def note(folder: Path, name: str, text: str) -> None:
@@ -70,7 +80,14 @@ def finished_elsewhere(folder: Path, sweep: Path) -> Path | None:
     if any((folder / name).exists() for name in ("run.json", "result.json")):
         return None
     others = sorted(sweep.parent.glob(f"*/{folder.absolute().relative_to(sweep)}/result.json"))
-    return next((result.parent for result in others if not result.is_symlink() and of_this_version(result)), None)
+    return next((result.parent for result in others if not result.is_symlink() and _usable(result)), None)
+
+
+def _usable(result: Path) -> bool:
+    try:
+        return of_this_version(result)
+    except DamagedFile:  # whoever goes on with that sweep is told
+        return False
 
 
 def link(twin: Path, folder: Path) -> None:
@@ -82,5 +99,9 @@ def link(twin: Path, folder: Path) -> None:
 
 
 def of_this_version(result: Path) -> bool:
-    """Whether the run of a ``result.json`` was made by this code and these packages."""
-    return bool(json.loads(result.read_text())["versions"] == versions())
+    """Whether the run of a ``result.json`` was made by this code and these packages.
+
+    Raises:
+        DamagedFile: It is none.
+    """
+    return bool(read_json(result).get("versions") == versions())

@@ -13,8 +13,10 @@ import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 from see2act.config import ConfigError, composed, config_hash, illegal_cell, validate
-from see2act.main import _check, _move_aside, identity, refuse_foreign
+from see2act.files import DamagedFile
+from see2act.main import _check, _check_sweep, _job, _move_aside, identity, refuse_foreign
 from see2act.results import versions
+from see2act.sweep import FAILED, OTHER, Summary, finished_elsewhere
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 EXPERIMENTS = TRAIN.parent / "conf" / "experiment"
@@ -110,6 +112,9 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("robot.arm.home=[2,0,0.5]", ["robot.arm.home", "out of the arm's reach"]),
         ("task.weights=nowhere.ckpt", ["nowhere.ckpt", "no file"]),
         ("evaluate.runs=0", ["evaluate.runs=0"]),
+        ("+sed=3", ["no configuration key 'sed'", "seed"]),
+        ("finetune.attempts=abc", ["finetune.attempts=abc", "could not be converted to Integer"]),
+        ("experiment=smoke", ["experiment=smoke is a sweep", "add -m"]),
     ],
 )
 def test_refusals_name_the_mend_in_one_line(
@@ -123,6 +128,77 @@ def test_refusals_name_the_mend_in_one_line(
     for word in words:
         assert word in text, text
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["seeds=0,1"], "there is no configuration key 'seeds'"),
+        (["task=edge,corner,edgee"], "Could not find 'task/edgee' choose from the options of 'task': center coco"),
+        (["+sed=range(0,3)"], "there is no configuration key 'sed'"),
+        (["experiment=transfer_part"], "options of 'experiment': off_the_shelf smoke"),
+        (["task=glob(*)", "finetune.attemps=3"], "there is no configuration key 'finetune.attemps'"),
+        (["seed=range(0,"], "range(0,"),
+    ],
+)
+def test_a_sweep_s_misspelt_keys_and_options_are_refused_in_one_line(overrides: list[str], words: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        _check_sweep(overrides)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_sweep_that_makes_sense_is_let_through() -> None:
+    _check_sweep(
+        ["experiment=transfer_parts", "seed=range(5,10)", "+trainer.gradient_clip_val=0.5,1.0", "hydra.launcher.n_jobs=1"]
+    )
+    _check_sweep(["task=glob(*)", "transfer=glob(*)", "primitive=suction,grasp", "finetune.attempts=0,5"])
+
+
+def test_damage_in_a_job_s_folder_is_named_and_ends_that_job_alone(config: Callable, tmp_path: Path) -> None:
+    cfg, folder = config("seed=3"), tmp_path / "sweep" / "seed3"
+    folder.mkdir(parents=True)
+    twin = tmp_path / "other" / "seed3"
+    twin.mkdir(parents=True)
+    (twin / "result.json").write_text('{"half":')  # of another experiment's sweep
+    (folder / "run.json").write_text(json.dumps(identity(cfg) | {"versions": versions()}))
+    (folder / "result.json").write_text('{"half":')
+    assert _job(cfg, folder, tmp_path / "sweep") is None
+    assert f"{folder}/result.json is damaged" in (folder / FAILED).read_text()
+    assert "delete it and type the same command again" in (folder / FAILED).read_text()
+    (folder / "run.json").write_text("{")
+    with pytest.raises(DamagedFile, match=r"run\.json is damaged"):
+        refuse_foreign(folder, cfg)
+    assert finished_elsewhere(tmp_path / "sweep" / "seed3" / "new", tmp_path / "sweep") is None
+
+
+def test_half_a_run_of_another_version_is_named_and_left(config: Callable, tmp_path: Path) -> None:
+    cfg, folder = config("seed=3"), tmp_path / "sweep" / "seed3"
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text(json.dumps(identity(cfg) | {"versions": {**versions(), "code": "of yesterday"}}))
+    assert _job(cfg, folder, tmp_path / "sweep") is None
+    assert (folder / OTHER).read_text() == "begun, and not finished"
+    assert not (folder / FAILED).exists()
+
+
+def test_a_sweep_of_which_no_job_ran_says_so(
+    config: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Summary, "failures", 0)
+    summary = Summary()
+    summary.on_multirun_start(config())
+    for seed in (0, 1):
+        folder = tmp_path / f"seed{seed}"
+        (folder / ".hydra").mkdir(parents=True)
+        (folder / ".hydra" / "config.yaml").touch()
+        cfg = config("task=edge", f"seed={seed}", "cells=[suction/normal/full]")
+        assert _job(cfg, folder, tmp_path) is None
+    with caplog.at_level("INFO"):
+        summary.on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
+    assert "1 cells were left out, since the experiment does not name them: cells=[]" in caplog.text
+    assert "suction/edge/full" in caplog.text
+    assert "not one job ran" in caplog.text
+    assert Summary.failures == 1
 
 
 def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:

@@ -308,7 +308,7 @@ def test_a_sweep_skips_cells_that_make_no_sense_and_links_runs(tmp_path: Path, c
     original.write_text(json.dumps(result))
     done = _swept(tmp_path / "sweep", cache, *cells, "cells=[suction/normal/fixed]")
     assert done.returncode == 0, done.stderr[-3000:]
-    assert "1 runs were finished by another version of the code" in done.stdout
+    assert "1 runs are of another version of the code" in done.stdout
     assert json.loads(original.read_text()) == result
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from see2act.report.paper import TASKS, TRANSFERS
-from see2act.report.runs import NO_MATTER, PHASES, SPLITS, UNKNOWN, Run, Unfinished, begins, read
+from see2act.report.runs import CONFIGURATION, NO_MATTER, PHASES, SPLITS, UNKNOWN, Run, Unfinished, begins, read
 
 SHOWN = (
     *("model", "objects", "workspace", "camera", "policy", "precision", "robot.motion"),
@@ -156,13 +156,16 @@ def _benches(arms: list[list[Run]], notices: list[str]) -> list[Bench]:
     benches = []
     for primitive in sorted(groups, key=lambda name: (name != "suction", name)):
         settings = sorted(groups[primitive].items(), key=lambda item: (-sum(len(arm.runs) for arm in item[1]), item[0]))
-        peculiar = _varying([dict(setting) for setting, _ in settings])
+        known = [dict(setting) for setting, _ in settings if dict(setting)[CONFIGURATION] != UNKNOWN]
+        peculiar = ((CONFIGURATION,) if len(known) < len(settings) else ()) + _varying(known)
         mine = []
         for number, (setting, members) in enumerate(settings, 1):
             number = number if len(settings) > 1 else 0
             mine.append(Bench(primitive, number, dict(setting), _labelled(members), peculiar))
         if len(mine) > 1:
-            told = "; ".join(f"{b.number}: {_pairs(b.setting, peculiar)} ({_count(len(b.arms), 'arm')})" for b in mine)
+            told = "; ".join(
+                f"{b.number}: {_pairs(b.setting, _told(b, peculiar))} ({_count(len(b.arms), 'arm')})" for b in mine
+            )
             notices.append(f"{primitive} was tested in {len(mine)} settings, which are kept apart. {told}.")
         benches += mine
     notices += _tell(benches)
@@ -191,6 +194,10 @@ def _relevant(arm: Arm, across: bool = False) -> dict[str, str]:
 def _varying(settings: list[dict[str, str]]) -> tuple[str, ...]:
     keys = dict.fromkeys(key for setting in settings for key in setting)
     return tuple(key for key in keys if len({setting.get(key) for setting in settings}) > 1)
+
+
+def _told(bench: Bench, keys: tuple[str, ...]) -> tuple[str, ...]:
+    return (CONFIGURATION,) if bench.setting[CONFIGURATION] == UNKNOWN else keys
 
 
 def _pairs(values: dict[str, str], keys: Iterable[str]) -> str:
@@ -228,6 +235,10 @@ def _warnings(bench: Bench) -> Iterator[str]:
     most = tuple(bench.setting.get(f"evaluate.attempts.{split}", UNKNOWN) for split in SPLITS)
     if most != ("25", "15"):
         yield f"test runs of at most {most[0]} attempts with seen and {most[1]} with unseen objects; the paper has 25 and 15."
+    seeds = {tuple(arm.seeds) for arm in bench.arms}
+    if len(seeds) > 1:
+        each = "; ".join(f"{arm.name}: {' '.join(map(str, arm.seeds))}" for arm in bench.arms)
+        yield f"arms have different seeds, as in a sweep that is not finished ({each})."
     few = [arm.name for arm in bench.arms if len(arm.runs) < ENOUGH]
     if len(few) == len(bench.arms):
         yield f"no arm has {ENOUGH} seeds: too few to conclude from."

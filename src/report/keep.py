@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import gzip
 from pathlib import Path
+from typing import Any
 
-from see2act.files import replacing
+from see2act.files import read_json, replacing
 from see2act.report import page
 from see2act.report.benches import Found
-from see2act.report.runs import Run, attempts_of
+from see2act.report.runs import attempts_of
 from tqdm import tqdm
 
 SMALL = ("result.json", ".hydra/config.yaml", ".hydra/overrides.yaml")
@@ -19,14 +20,14 @@ def keep(found: Found, folder: Path) -> None:
 
     Of each run: result, configuration and compressed attempts. Of each arm: the pictures of the run that the report shows.
     Checkpoints and logs stay behind. Runs that ``folder`` has already are left as they are, so a sweep may be kept again
-    as it goes on.
+    as it goes on, and one that was repeated may be compared with what was kept.
 
     Raises:
-        FileExistsError: ``folder`` has a different run at the same place.
+        FileExistsError: ``folder`` has a run with other outcomes at the same place.
     """
     for run in found.runs:
         kept = folder / run.place / "result.json"
-        if kept.exists() and kept.read_bytes() != (run.folder / "result.json").read_bytes():
+        if kept.exists() and _outcome(read_json(kept)) != _outcome(run.result):
             raise FileExistsError(f"{kept.parent} holds another run than {run.folder}: move it away, or give another folder")
     pictured = {page.shown(arm).folder for bench in found.benches for arm in bench.arms}
     for run in tqdm(found.runs, desc="keep", disable=None):
@@ -34,15 +35,19 @@ def keep(found: Found, folder: Path) -> None:
         if run.folder in pictured:
             for name, image in page.thumbnails(run).items():
                 _write(place / "figures" / f"{name}.jpg", image)
-        if run.attempts:
-            _write(place / "attempts.csv.gz", _packed(run))
+        if run.attempts and (path := attempts_of(run.folder)):
+            _write(place / "attempts.csv.gz", _packed(path))
         for name in reversed(SMALL):  # the result last: it means done
             if (run.folder / name).is_file():
                 _write(place / name, (run.folder / name).read_bytes())
 
 
-def _packed(run: Run) -> bytes:
-    path = attempts_of(run.folder)
+def _outcome(result: dict[str, Any]) -> dict[str, Any]:
+    """All but how long it took."""
+    return {key: value for key, value in result.items() if key != "seconds"}
+
+
+def _packed(path: Path) -> bytes:
     return path.read_bytes() if path.suffix == ".gz" else gzip.compress(path.read_bytes(), mtime=0)
 
 

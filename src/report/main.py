@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from see2act.files import DamagedFile
 from see2act.report.benches import Found, find
 
 HINT = "give a folder that holds runs of train.py, such as outputs or multirun/sweep"
@@ -28,12 +29,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--keep", type=Path, metavar="OUT", help=words)
     args = parser.parse_args(arguments)
     try:
+        if args.keep:
+            _check_keep(args.keep, args.folder)
         found = report(args.folder)
         if args.keep:
             from see2act.report.keep import keep  # brings matplotlib, too
 
             keep(found, args.keep)
-    except (ReportError, FileExistsError) as error:
+    except (ReportError, FileExistsError, DamagedFile) as error:
         sys.exit(f"see2act: {error}")
     except PermissionError as error:
         sys.exit(
@@ -43,6 +46,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"NOTE  {notice}")
     for name in ("report.html", "table.csv", "table.md", "progress.csv", "figures"):
         print(args.folder / name)
+
+
+def _check_keep(keep: Path, folder: Path) -> None:
+    if keep.exists() and not keep.is_dir():
+        raise ReportError(f"--keep {keep} is a file: give a folder")
+    if keep.resolve().is_relative_to(folder.resolve()):
+        raise ReportError(f"--keep {keep} lies in {folder}, whose report would then find each run twice: give another folder")
 
 
 def report(folder: Path) -> Found:

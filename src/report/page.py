@@ -145,8 +145,7 @@ def command(arm: Arm) -> str:
     if len(typed) > 1:  # they may differ in what leaves results as they are
         lines = [_line([*(_without_seed(run) or ()), f"seed={run.seed}"]) for run in arm.runs]
         return "\n".join(lines)
-    seeds = ",".join(map(str, arm.seeds))
-    return _line([*(["-m"] if len(arm.runs) > 1 else []), *(typed.pop() or ()), f"seed={seeds}"])
+    return _line([*(typed.pop() or ()), f"seed={','.join(map(str, arm.seeds))}"])
 
 
 def _without_seed(run: Run) -> tuple[str, ...] | None:
@@ -154,7 +153,8 @@ def _without_seed(run: Run) -> tuple[str, ...] | None:
 
 
 def _line(arguments: list[str]) -> str:
-    return " ".join(["python train.py", *map(shlex.quote, arguments)])
+    swept = any(a.startswith("experiment=") or (a.startswith("seed=") and "," in a) for a in arguments)
+    return " ".join(["python train.py", *(["-m"] if swept else []), *map(shlex.quote, arguments)])
 
 
 def seconds(run: Run) -> float:

@@ -125,6 +125,7 @@ def protocol(bench: Bench) -> Drawn:
     if most == 0:
         plt.close(figure)
         return None
+    ticks = sorted({point["step"] for arm in arms for run in arm.runs for point in run.result["evals"]})
     for axes, split in zip(grid, reversed(SPLITS), strict=True):
         for i, arm in enumerate(arms):
             _, style = _look(bench, arm)
@@ -136,7 +137,7 @@ def protocol(bench: Bench) -> Drawn:
                 continue
             shift = (i - (len(arms) - 1) / 2) * most * 0.008  # so that error bars do not hide each other
             axes.errorbar(np.array(steps) + shift, *_dots(each), label=arm.name, capsize=2.5, elinewidth=0.9, **style)
-        axes.set(xlabel="fine-tuning attempts", title=f"{split} objects", ylim=(-0.02, 1.02))
+        axes.set(xlabel="fine-tuning attempts", title=f"{split} objects", ylim=(-0.02, 1.02), xticks=ticks)
     grid[0].set_ylabel("success rate by the protocol")
     _legend(figure, grid[0])
     ends = "; ".join(f"{arm.name} {np.mean(rates(arm, 'after_unseen')):.2f}" for arm in arms)

@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +33,10 @@ NO_MATTER = ("hydra", *LOCAL, *(f"trainer.{key}" for key in LOCAL_TRAINER), "tra
 NAMED = ("model", "objects", "workspace", "camera", "policy", "precision")
 """Conditions that ``choices`` of a result has."""
 UNKNOWN = "unknown"
+CONFIGURATION = "configuration"
+"""Key of a setting: ``read``, or ``unknown`` of runs that have lost theirs."""
+ATTEMPTS = ("attempts.csv.gz", "attempts.csv")
+"""Where the attempts of a run are: compressed in runs that were kept."""
 
 
 class BrokenRun(ValueError):
@@ -121,7 +126,7 @@ def read(folder: Path) -> Holdings:
 def _places(folder: Path) -> Iterator[Path]:
     for root, folders, files in os.walk(folder):
         folders[:] = sorted(set(folders) - set(OPAQUE))
-        if {"result.json", "run.json", "attempts.csv"} & set(files):
+        if {"result.json", "run.json", *ATTEMPTS} & set(files):
             yield Path(root)
 
 
@@ -227,12 +232,12 @@ def _overrides(folder: Path) -> tuple[str, ...] | None:
 
 def _attempts(folder: Path, place: str, result: dict[str, Any], notices: list[str]) -> list[dict[str, str]]:
     try:
-        rows = attempts_csv.read(attempts_of(folder))
+        rows = attempts_csv.read(attempts_of(folder) or folder / ATTEMPTS[-1])
         learned = [int(row["success"]) for row in rows if row["phase"] == "finetune"]
         for row in rows:
             float(row["robot_seconds"]), row["cause"], row["policy"], int(row["step"])
-    except (OSError, ValueError, LookupError, TypeError, csv.Error) as error:
-        notices.append(f"{place}/attempts.csv cannot be read ({error}): robot time and causes leave this run out.")
+    except UNREADABLE as error:
+        notices.append(f"{place}/attempts.csv cannot be read ({_reason(error)}): robot time and causes leave this run out.")
         return []
     expected = [(block["successes"], block["attempts"]) for block in result["curve"]]
     if (sum(learned), len(learned)) != (sum(s for s, _ in expected), sum(n for _, n in expected)):
@@ -241,10 +246,17 @@ def _attempts(folder: Path, place: str, result: dict[str, Any], notices: list[st
     return rows
 
 
-def attempts_of(folder: Path) -> Path:
-    """Where the attempts of a run are: compressed in runs that were kept."""
-    packed = folder / "attempts.csv.gz"
-    return packed if packed.is_file() else folder / "attempts.csv"
+UNREADABLE = (OSError, EOFError, zlib.error, ValueError, LookupError, TypeError, csv.Error)
+"""What reading attempts may raise."""
+
+
+def _reason(error: Exception) -> str:
+    return f"there is no column {error}" if isinstance(error, KeyError) else str(error)
+
+
+def attempts_of(folder: Path) -> Path | None:
+    """The file with the attempts of a run, if there is one."""
+    return next((folder / name for name in ATTEMPTS if (folder / name).is_file()), None)
 
 
 def _setting(result: dict[str, Any], config: DictConfig | None) -> dict[str, str]:
@@ -258,6 +270,7 @@ def _setting(result: dict[str, Any], config: DictConfig | None) -> dict[str, str
         "evaluate.runs": str(len(result["eval"]["seen"]["runs"])),
         **{f"version of {name}": str(version) for name, version in result["versions"].items()},
     }
+    setting[CONFIGURATION] = UNKNOWN if config is None else "read"
     if config is not None:  # an interpolation, unless it was typed
         setting["finetune.attempts"] = _chosen(config, "finetune.attempts")
     return setting
@@ -277,12 +290,14 @@ def _unfinished(folder: Path, place: str) -> Unfinished:
     config = _config(folder) or OmegaConf.create()
     names = {key: _chosen(config, f"{key}.name") for key in ("primitive", "task", "transfer")}
     seed, most = _chosen(config, "seed"), _chosen(config, "finetune.attempts")
-    if (folder / "attempts.csv").is_file():
+    if path := attempts_of(folder):
         try:
-            done = sum(row["phase"] == "finetune" for row in attempts_csv.read(folder / "attempts.csv"))
+            done = sum(row["phase"] == "finetune" for row in attempts_csv.read(path))
             state = f"{done} of {most} fine-tuning attempts done"
-        except (OSError, ValueError, LookupError, csv.Error):
+        except UNREADABLE:
             state = "its attempts.csv cannot be read"
     else:
         state = "stopped before its first attempt"
+    if (failed := folder / "failed.txt").is_file():
+        state += f"; failed: {failed.read_text()}"
     return Unfinished(place, **names, seed=seed, state=state)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 from see2act.files import replacing
 from see2act.report import paper
 from see2act.report.benches import ENOUGH, Arm, Bench, Found
@@ -106,13 +107,15 @@ def _summed(counts: list[tuple[int, int]]) -> Row:
     """Successes and attempts of each seed as ``PARTS``."""
     each = [successes / attempts for successes, attempts in counts]
     successes, attempts = (sum(column) for column in zip(*counts, strict=True))
-    numbers = (float(np.mean(each)), *(mean_interval(each) or (None, None)), successes, attempts, *wilson(successes, attempts))
+    interval = mean_interval(each) if len(each) >= ENOUGH else None
+    numbers = (float(np.mean(each)), *(interval or (None, None)), successes, attempts, *wilson(successes, attempts))
     return dict(zip(PARTS, map(_text, numbers), strict=True))
 
 
 def _gained(arm: Arm, after: str, before: str) -> Row:
     each = [a - b for a, b in zip(rates(arm, after), rates(arm, before), strict=True)]
-    numbers = (float(np.mean(each)), *(t_interval(each) or (None, None)), min(each))
+    interval = t_interval(each) if len(each) >= ENOUGH else None
+    numbers = (float(np.mean(each)), *(interval or (None, None)), min(each))
     return dict(zip(GAIN_PARTS, map(_text, numbers), strict=True))
 
 
@@ -141,10 +144,9 @@ def _rounded(published: float | None) -> str:
 def _missing(found: Found) -> list[Row]:
     missing = []
     for primitive in paper.PRIMITIVES:
-        there = {
-            (a.task, a.transfer, b.setting["model"]) for b in found.benches for a in b.arms if _same(b.primitive, primitive)
-        }
-        for task, transfer, model in paper.expected(primitive):
+        benches = [bench for bench in found.benches if _same(bench.primitive, primitive)]
+        there = {(a.task, a.transfer, b.setting["model"]) for b in benches for a in b.arms}
+        for task, transfer, model in dict.fromkeys([*paper.expected(primitive), *_of_experiments(benches, primitive)]):
             if (task, transfer, model) in there:
                 continue
             begun = sum((u.task, u.transfer) == (task, transfer) and _same(u.primitive, primitive) for u in found.unfinished)
@@ -155,6 +157,18 @@ def _missing(found: Found) -> list[Row]:
             cell = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
             missing.append({**cell, "paper_unseen": _rounded(number)})
     return missing
+
+
+def _of_experiments(benches: list[Bench], primitive: str) -> list[tuple[str, str, str]]:
+    """Task, transfer and model of the cells that the runs' own experiments name."""
+    named = {
+        (bench.setting["model"], cell)
+        for bench in benches
+        for arm in bench.arms
+        for cell in yaml.safe_load(arm.runs[0].config.get("cells", "[]"))
+    }
+    cells = [(*cell.split("/"), model) for model, cell in sorted(named)]
+    return [(task, transfer, model) for of, task, transfer, model in cells if _same(of, primitive)]
 
 
 def _same(primitive: str, published: str) -> bool:
@@ -169,7 +183,7 @@ def scores_of(arm: Arm, measure: str = "after_unseen") -> np.ndarray:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How probably a seed of one arm does better than one of another."""
+    """How probably a seed of one arm does better than one of another; numbers are empty below ``ENOUGH`` seeds of either."""
 
     arm: Arm
     other: Arm
@@ -199,8 +213,10 @@ def comparisons(bench: Bench, measure: str) -> list[Comparison]:
             continue
         left, right = np.array(a), np.array(b)
         low, high = improvement_interval(left, right)
-        limits = mean_difference_interval(a, b) or (None, None)
-        numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
+        numbers: tuple[float | None, ...] = (None,) * 6
+        if min(len(a), len(b)) >= ENOUGH:
+            limits = mean_difference_interval(a, b) or (None, None)
+            numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
         compared.append(Comparison(arm, other, measure, verdict(len(a), len(b), low, high), *map(_text, numbers)))
     return compared
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import re
 import subprocess
@@ -405,12 +406,20 @@ def test_what_is_kept_gives_the_same_tables_and_page(sweep: Path, make_run: Make
     drawn = {path.name for path in (sweep / "figures").iterdir()}
     assert {path.name for path in (kept / "figures").iterdir()} == drawn
 
+    (kept / "suction/fcn7/normal-full/bbbbbbbbbbbb/seed1/result.json").unlink()
+    assert [u.seed for u in report(kept).unfinished] == ["1"]
     later = make_run(seed=77)
     main([str(sweep), "--keep", str(kept)])  # what is there stays, what is new comes
     assert (kept / later.relative_to(sweep) / "result.json").is_file()
-    (later / "result.json").write_text((later / "result.json").read_text() + " ")
+    result = json.loads((later / "result.json").read_text())
+    (later / "result.json").write_text(json.dumps(result | {"seconds": {"finetune": 1}}))  # the same outcomes, sooner
+    main([str(sweep), "--keep", str(kept)])
+    (later / "result.json").write_text(json.dumps(result | {"curve": []}))
     with pytest.raises(SystemExit, match="holds another run"):
         main([str(sweep), "--keep", str(kept)])
+    for wrong, words in ((later / "result.json", "is a file"), (sweep / "kept", "would then find each run twice")):
+        with pytest.raises(SystemExit, match=words):
+            main([str(sweep), "--keep", str(wrong)])
 
 
 def test_an_arm_says_how_to_run_it_again(sweep: Path, make_run: MakeRun) -> None:
@@ -419,15 +428,47 @@ def test_an_arm_says_how_to_run_it_again(sweep: Path, make_run: MakeRun) -> None
     make_run("edge-full", config_hash="dddddddddddd", evaluate__at="[0, 150]")
     arm = next(arm for bench in report(sweep).benches for arm in bench.arms if arm.task == "edge")
     assert command(arm) == "python train.py task=edge transfer=full primitive=suction threads=1 'evaluate.at=[0, 150]' seed=0"
+    make_run("corner-full", config_hash="eeeeeeeeeeee", experiment="smoke")
+    arm = next(arm for bench in report(sweep).benches for arm in bench.arms if arm.task == "corner")
+    assert command(arm).startswith("python train.py -m task=corner")  # or it would not lie beside the others
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_cells_of_an_experiment_that_are_missing_have_a_row(make_run: MakeRun, runs: Path) -> None:
+    make_run(seed=0, cells=["suction/normal/full", "suction/normal/backbone", "grasp/edge/backbone"])
+    make_run("none-none", seed=1)
+    notices = report(runs).notices
+    assert _row(runs, "normal", "backbone")["note"] == "no runs"
+    assert not [
+        row for row in _table(runs) if row["primitive"] == "grasp" and row["transfer"] == "backbone" and row["task"] == "edge"
+    ]
+    assert any("different seeds" in notice and "normal, full: 0" in notice for notice in notices)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_no_interval_is_made_from_two_seeds(make_run: MakeRun, runs: Path) -> None:
+    for seed in range(2):
+        make_run(seed=seed, unseen=[(seed, 10), (seed, 10)])
+        make_run("none-none", seed=seed)
+    report(runs)
+    row = _row(runs, "normal", "full")
+    assert (row["after_unseen_mean"], row["after_unseen_low"], row["gain_unseen_low"]) == ("0.050", "", "")
+    page = (runs / "report.html").read_text()
+    assert "too few seeds to conclude (2 and 2)" in page
+    assert '<span class="interval">' not in page
 
 
 def test_robot_time_and_causes_leave_out_a_run_whose_attempts_are_lost(make_run: MakeRun, runs: Path) -> None:
     make_run(seed=0)
     (make_run(seed=1) / "attempts.csv").unlink()
     (make_run(seed=2) / "attempts.csv").write_text("phase,split\nfinetune,seen\n")
+    cut = make_run(seed=3)
+    (cut / "attempts.csv.gz").write_bytes(gzip.compress((cut / "attempts.csv").read_bytes())[:-20])
+    (cut / "attempts.csv").unlink()
     found = report(runs)
-    assert _row(runs, "normal", "full")["seeds"] == "0 1 2"
-    assert sum("attempts.csv" in notice for notice in found.notices) == 2
+    assert _row(runs, "normal", "full")["seeds"] == "0 1 2 3"
+    assert sum("attempts.csv" in notice for notice in found.notices) == 3
+    assert any("there is no column 't_total'" in notice for notice in found.notices)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -439,6 +480,8 @@ def test_a_run_without_its_configuration_is_kept_apart(make_run: MakeRun, runs: 
     found = report(runs)
     assert [bench.number for bench in found.benches] == [1, 2]
     assert any("its protocol is unknown" in notice for notice in found.notices)
+    assert any("configuration=unknown (1 arm)" in notice for notice in found.notices)
+    assert not any("absent" in notice for notice in found.notices)
 
 
 def test_it_starts_without_torch() -> None:
