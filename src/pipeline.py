@@ -34,7 +34,7 @@ from see2act.modules.network import PixelNetwork
 from see2act.modules.transfer import TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
-from see2act.results import Progress, curve, packages, versions
+from see2act.results import Progress, commit, curve, packages, versions
 from see2act.seeding import generator, seed_for
 from see2act.statistics import average_precision
 from torch import Tensor
@@ -409,6 +409,7 @@ class Run:
             | {"labels": cfg.labels, "seed": cfg.seed, "precision": cfg.precision, "motion": cfg.robot.get("motion")},
             "config_hash": config_hash(cfg),
             "versions": versions(),
+            "commit": commit(),
             "seconds": done["seconds"],
             "vision": done.get("vision"),
             "zero_shot": done["eval_0"],

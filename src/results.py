@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import platform
+import subprocess
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from see2act import attempts_csv
-from see2act.cache import code_hash
+from see2act.cache import SOURCES, code_hash
 from see2act.files import write_json
 
 BLOCK = 20
@@ -61,6 +62,16 @@ def packages() -> dict[str, str]:
 def versions() -> dict[str, str]:
     """Of the packages and, as a hash, of this code: equal ones give equal results."""
     return packages() | {"code": code_hash(*DECIDING)}
+
+
+@cache
+def commit() -> str | None:
+    """The commit of this code, with ``-dirty`` where files differ from it; None where it is no checkout."""
+    describe = ["git", "-C", str(SOURCES), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
 
 
 def curve(path: Path) -> list[dict[str, int]]:

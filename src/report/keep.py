@@ -43,8 +43,8 @@ def keep(found: Found, folder: Path) -> None:
 
 
 def _outcome(result: dict[str, Any]) -> dict[str, Any]:
-    """All but how long it took."""
-    return {key: value for key, value in result.items() if key != "seconds"}
+    """All but how long it took, and by which of several commits with the same code."""
+    return {key: value for key, value in result.items() if key not in ("seconds", "commit")}
 
 
 def _packed(path: Path) -> bytes:

@@ -166,7 +166,8 @@ def _versions(found: Found) -> list[dict[str, Any]]:
     """Every set of versions, with the runs it made."""
     sets: dict[tuple[tuple[str, str], ...], int] = {}
     for run in found.runs:
-        key = tuple((name, str(version)) for name, version in run.result["versions"].items())
+        commit = run.result.get("commit") or "unknown"
+        key = (*((name, str(version)) for name, version in run.result["versions"].items()), ("commit", commit))
         sets[key] = sets.get(key, 0) + 1
     return [{"versions": dict(key), "runs": count} for key, count in sets.items()]
 
