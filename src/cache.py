@@ -45,6 +45,21 @@ def foreign_code(node: Any) -> dict[str, str]:
     return found
 
 
+def given_files(config: dict[str, Any]) -> dict[str, Any]:
+    """Plain configuration with digests in place of the paths of weights and of objects' meshes: what they hold decides."""
+    config = {key: dict(value) if isinstance(value, dict) else value for key, value in config.items()}
+    task, objects = config.get("task", {}), config.get("objects", {})
+    if task.get("weights") and Path(task["weights"]).is_file():
+        task["weights"] = hashlib.sha256(Path(task["weights"]).read_bytes()).hexdigest()
+    folder = Path(objects.get("path") or "nowhere").expanduser()
+    if folder.is_dir():
+        digest = hashlib.sha256()
+        for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+            digest.update(f"{file.relative_to(folder).as_posix()} ".encode() + file.read_bytes())
+        objects["path"] = digest.hexdigest()
+    return config
+
+
 def _meaning(source: str) -> str:
     """What the interpreter makes of a source file, without strings that stand alone."""
     tree = ast.parse(source)

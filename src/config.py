@@ -15,7 +15,7 @@ from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from hydra.utils import get_object
 from omegaconf import MISSING, DictConfig, OmegaConf
-from see2act.cache import foreign_code
+from see2act.cache import foreign_code, given_files
 
 LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
@@ -217,9 +217,7 @@ def config_hash(cfg: DictConfig) -> str:
     resolved["collect"].pop("workers")
     resolved["robot"].pop("video", None)
     resolved["trainer"] = relevant_trainer(cfg)
-    if cfg.task.weights and Path(cfg.task.weights).is_file():
-        resolved["task"]["weights"] = hashlib.sha256(Path(cfg.task.weights).read_bytes()).hexdigest()
-    return content_hash(resolved | foreign_code(resolved))
+    return content_hash(given_files(resolved) | foreign_code(resolved))
 
 
 def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from see2act import build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
-from see2act.cache import code_hash, foreign_code, once
+from see2act.cache import code_hash, foreign_code, given_files, once
 from see2act.config import config_hash, content_hash, relevant_trainer
 from see2act.dashboard import Dashboard
 from see2act.datamodules.collect import Collection, collect
@@ -383,7 +383,7 @@ class Run:
         keys["collect"]["primitive"] = _plain(self.cfg.collect.primitive, "end_effector")
         keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")
         keys["versions"] = packages()
-        return content_hash(keys | foreign_code(keys))
+        return content_hash(given_files(keys) | foreign_code(keys))
 
     def _title(self) -> str:
         cfg = self.cfg

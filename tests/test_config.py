@@ -271,6 +271,16 @@ def test_hydra_s_launchers_compose(launcher: str, jobs: int | None) -> None:
     assert cfg.hydra.launcher.get("n_jobs") == jobs
 
 
+def test_the_hash_knows_what_is_in_a_folder_of_objects(config: Callable, tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0")
+    hashes = [
+        config_hash(config("objects=folder", f"objects.path={path}")) for path in (tmp_path, f"{tmp_path}/../{tmp_path.name}")
+    ]
+    assert hashes[0] == hashes[1]
+    (tmp_path / "a.obj").write_text("v 0 0 1")
+    assert config_hash(config("objects=folder", f"objects.path={tmp_path}")) != hashes[0]
+
+
 def test_experiments_share_the_runs_they_have_in_common(config: Callable[..., DictConfig]) -> None:
     cell = ("primitive=grasp", "task=foreground", "transfer=full")
     runs = [config(f"experiment={name}", *cell) for name in ("transfer_parts", "vision_tasks")]

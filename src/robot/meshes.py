@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -14,13 +15,18 @@ from see2act.robot.objects import GRIPPER_OPENING, ObjectSet, Shape, centred
 from see2act.robot.solids import read_mesh
 from see2act.robot.types import RobotError
 
+log = logging.getLogger("see2act")
 ENDINGS = (".obj", ".stl")
 CONVEX = 0.95
 """Share of its convex hull that a mesh fills at least to be taken for convex."""
-PARTS = 16
-"""Convex parts that a mesh is cut into at most."""
+PARTS, RESOLUTION = 16, 100_000
+"""Convex parts that a body is cut into at most, and the voxels that V-HACD sees of it: a second or two a body."""
+EMPTY = ("168",)
+"""Of PyBullet's thousand, those whose files have no vertex that is a number."""
+MOST_PARTS = 100
+"""Convex parts of an object at most: contacts are computed between all parts of neighbours."""
 SMALLEST, LARGEST = 0.01, 0.15
-"""Metres between which the sides of an object's bounding box must lie: a finger's width, and half of a bin."""
+"""Metres between which the sides of an object's bounding box must lie: a finger's width, and what lies flat in a bin of ten."""
 
 
 @dataclass(frozen=True)
@@ -37,33 +43,41 @@ class MeshSet(ObjectSet):
     unit: float = 1.0
     width: float | None = None
 
+    def __post_init__(self) -> None:
+        for key, value in (("unit", self.unit), ("width", self.width)):
+            if value is not None and value <= 0:
+                raise RobotError(f"objects.{key}={value} must be above 0")
+        if self.width and self.width * self.scale[1] > self.opening:
+            raise RobotError(
+                f"objects.width={self.width} at scale {self.scale[1]} does not fit the gripper's {self.opening} m: lower one"
+            )
+        super().__post_init__()
+
     def shape(self, name: str) -> Shape:
         return mesh_shape(name, self.files[name], self.unit, self.width)
 
     def _check(self, name: str) -> None:
-        if self.width is None:  # otherwise they fit by construction, and there may be hundreds
-            super()._check(name)
+        """Nothing: there may be hundreds of files, and whoever lists them knows what to look at."""
 
 
 def random_urdfs(
     name: str, held_out: int, width: float, kinds: int, copies: int, scale: Sequence[float], density: float
 ) -> MeshSet:
-    """The thousand procedural objects that come with PyBullet, the last ones by name unseen.
+    """The thousand procedural objects that come with PyBullet, but for one that is empty, the last ones by name unseen.
 
     Args:
         name: The word people type.
         held_out: How many are unseen.
-        width: Metres of the middle side of each at scale 1.
+        width: Metres of the middle side of each at scale 1; the longest is brought to 15 cm if it would be longer.
         kinds, copies, scale, density: As of :class:`ObjectSet`.
 
     Raises:
         RobotError: The largest would not fit the gripper.
     """
     root = Path(pybullet_data.getDataPath()) / "random_urdfs"
-    files = {f"urdf{path.stem}": path for path in sorted(root.glob("*/*.obj"))}
-    if width * scale[1] > GRIPPER_OPENING:
-        raise RobotError(f"objects.width={width} at scale {scale[1]} does not fit the gripper's {GRIPPER_OPENING} m: lower one")
-    return _mesh_set(name, files, held_out, kinds, copies, scale, density, 1.0, width)
+    files = {f"urdf{path.stem}": path for path in sorted(root.glob("*/*.obj")) if path.stem not in EMPTY}
+    split = _split(files, held_out)
+    return MeshSet(name, *split, kinds, copies, (scale[0], scale[1]), density, files=files, width=width)
 
 
 def folder(
@@ -88,8 +102,28 @@ def folder(
         kinds, copies, scale, density: As of :class:`ObjectSet`.
 
     Raises:
-        RobotError: The folder is none or has too few files, two have the same name, or an object has no volume or an
-            impossible size.
+        RobotError: The folder is none or has too few files, two have the same name, or an object has no volume or does not
+            fit the gripper or the bin.
+    """
+    files = mesh_files(path)
+    unseen = round(held_out * len(files))
+    if min(unseen, len(files) - unseen) < kinds:
+        raise RobotError(
+            f"objects.path={path} holds {len(files)} objects, {unseen} of them unseen, and a scene needs {kinds}: add files, "
+            "lower objects.kinds or change objects.held_out"
+        )
+    split = _split(files, unseen)
+    objects = MeshSet(name, *split, kinds, copies, (scale[0], scale[1]), density, files=files, unit=unit, width=width)
+    for key, file in files.items():
+        _check_size(objects.shape(key), file, scale[1])
+    return objects
+
+
+def mesh_files(path: str) -> dict[str, Path]:
+    """The OBJ and STL files in a folder and those within it, by the names that objects take from them.
+
+    Raises:
+        RobotError: There is no such folder, or two files have the same name.
     """
     root = Path(path).expanduser()
     if not root.is_dir():
@@ -99,15 +133,12 @@ def folder(
     if len(files) < len(found):
         twice = next(file for file in found if files[file.stem] != file)
         raise RobotError(f"{twice} and {files[twice.stem]} would be one object: rename one of them")
-    unseen = round(held_out * len(files))
-    if min(unseen, len(files) - unseen) < kinds:
-        raise RobotError(
-            f"objects.path={path} holds {len(files)} objects, {unseen} of them unseen, and a scene needs {kinds}: add files, "
-            "lower objects.kinds or change objects.held_out"
-        )
-    for key, file in files.items():
-        _check_size(mesh_shape(key, file, unit, width), file)
-    return _mesh_set(name, files, unseen, kinds, copies, scale, density, unit, width)
+    return files
+
+
+def _split(files: dict[str, Path], unseen: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    names = tuple(sorted(files))
+    return names[: len(names) - unseen], names[len(names) - unseen :]
 
 
 @cache
@@ -115,59 +146,58 @@ def mesh_shape(name: str, file: Path, unit: float, width: float | None) -> Shape
     """A mesh file as convex parts: its bodies, each cut into convex parts unless it nearly fills its hull.
 
     Raises:
-        RobotError: The file is missing, no mesh, or has no volume.
+        RobotError: The file is missing, no mesh, has no volume, or would have more than ``MOST_PARTS`` parts.
     """
-    bodies = read_mesh(file).split(only_watertight=False)
-    hulls = [hull for body in bodies if len(body.faces) > 3 for hull in _convex(body)]
-    sides = np.sort(np.ptp(np.concatenate([hull.vertices for hull in hulls]), axis=0))
-    factor = unit if width is None else width / sides[1]
+    mesh = read_mesh(file)
+    # Files keep a vertex apart for each normal and each texture coordinate it has: without this a cube is six faces.
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    bodies = [body for body in mesh.split(only_watertight=False) if _solid(body)]
+    hulls = [hull for body in bodies or [mesh] for hull in _convex(body, file)]
+    if len(hulls) > MOST_PARTS:
+        raise RobotError(f"{file} is of {len(hulls)} convex parts, more than {MOST_PARTS}: simplify it")
+    sides = _sides(hulls)
+    factor = unit if width is None else min(width / sides[1], LARGEST / sides[2])
     for hull in hulls:
         hull.apply_scale(factor)
     return centred(name, hulls)
 
 
-def _convex(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
+def _solid(body: trimesh.Trimesh) -> bool:
+    """Not flat: labels and ground planes are no bodies."""
+    sides = np.sort(body.extents)
+    return bool(len(body.faces) > 3 and sides[0] > 1e-3 * sides[2])
+
+
+def _convex(mesh: trimesh.Trimesh, file: Path) -> list[trimesh.Trimesh]:
     """Its hull, or its decomposition by V-HACD (Mamou 2016); what is not closed has no inside, and is its hull."""
     hull = mesh.convex_hull
+    if mesh.is_watertight:
+        trimesh.repair.fix_normals(mesh)
+    if not mesh.is_volume:
+        log.info("objects: %s is not closed, and is taken for its convex hull", file.name)
     if not mesh.is_volume or mesh.volume > CONVEX * hull.volume:
         return [hull]
-    parts = trimesh.decomposition.convex_decomposition(mesh, maxConvexHulls=PARTS)
+    log.info("objects: cutting %s into convex parts", file.name)
+    parts = trimesh.decomposition.convex_decomposition(mesh, maxConvexHulls=PARTS, resolution=RESOLUTION)
     return [trimesh.Trimesh(**part).convex_hull for part in parts]
 
 
-def _check_size(shape: Shape, file: Path) -> None:
-    points = np.concatenate([part.vertices for part in shape.parts])
-    sides = np.sort(np.ptp(points, axis=0))
-    if sides[0] < SMALLEST or sides[2] > LARGEST:
+def _sides(parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
+    """Sides of the bounding box of all parts, shortest first."""
+    return np.sort(np.ptp(np.concatenate([part.vertices for part in parts]), axis=0))
+
+
+def _check_size(shape: Shape, file: Path, largest_scale: float) -> None:
+    sides = _sides(shape.parts)
+    if sides[0] < SMALLEST or sides[2] > LARGEST * (1 + 1e-6):
         told = " x ".join(f"{side:.3g}" for side in sides)
         raise RobotError(
             f"{file} is {told} m, and sides must lie between {SMALLEST} and {LARGEST} m: give objects.unit, metres a unit of "
             "the file (0.001 for millimetres), or objects.width=0.05 to bring all to one size"
         )
-
-
-def _mesh_set(
-    name: str,
-    files: dict[str, Path],
-    unseen: int,
-    kinds: int,
-    copies: int,
-    scale: Sequence[float],
-    density: float,
-    unit: float,
-    width: float | None,
-) -> MeshSet:
-    names = tuple(sorted(files))
-    low, high = scale
-    return MeshSet(
-        name,
-        names[: len(names) - unseen],
-        names[len(names) - unseen :],
-        kinds,
-        copies,
-        (low, high),
-        density,
-        files=files,
-        unit=unit,
-        width=width,
-    )
+    across = sides[1] * largest_scale
+    if across > GRIPPER_OPENING:
+        raise RobotError(
+            f"{file} at scale {largest_scale} is {across * 1000:.0f} mm across and does not fit the gripper's "
+            f"{GRIPPER_OPENING * 1000:.0f} mm: lower objects.scale, or give objects.width=0.05"
+        )
