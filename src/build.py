@@ -5,11 +5,15 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from see2act.config import ConfigError, check_arguments, one_line
 from see2act.datamodules.labels import Task
 from see2act.policy import Policy
 from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import RobotError
 
 
 def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any, end_effector: Any) -> SimulatedRobot:
@@ -34,6 +38,25 @@ def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRo
         objects=_plain(cfg.objects),
         end_effector=_plain(primitive.end_effector),
     )
+
+
+def check_parts(cfg: DictConfig) -> None:
+    """Build what is cheap to build, so that wrong parameters of objects, camera or workspace show now.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    try:
+        for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
+            check_arguments(cfg[group], group)
+        instantiate(cfg.workspace)
+        instantiate(cfg.camera, _convert_="all")
+        instantiate(cfg.objects, _convert_="all")
+        policy(cfg)
+        robot_factory(cfg, cfg.primitive)().close()
+    except (RobotError, HydraException, OmegaConfBaseException) as error:
+        cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
+        raise ConfigError(one_line(cause)) from None
 
 
 def policy(cfg: DictConfig) -> Policy:

@@ -13,8 +13,11 @@ from typing import Any
 
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
 from hydra.utils import get_object
 from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from see2act.cache import foreign_code, given_files
 
 LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
@@ -202,10 +205,43 @@ def native_precision() -> str:
 
 
 def composed(overrides: Sequence[str] = ()) -> DictConfig:
-    """The configuration of a run, for use without the command line: in tests, measurements, notebooks."""
+    """The configuration of a run, for use without the command line: in tests, measurements, notebooks.
+
+    Raises:
+        ConfigError: A key or an option does not exist, with one line.
+    """
     register()
-    with initialize_config_module("see2act.conf", version_base="1.3"):
-        return compose("train", ["paths.output=.", *overrides])
+    return composed_as_typed(["paths.output=.", *overrides])
+
+
+def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = False) -> DictConfig:
+    """What Hydra makes of a command line, also within a program that Hydra runs.
+
+    Raises:
+        ConfigError: A key or an option does not exist, with one line.
+    """
+    outer = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_module("see2act.conf", version_base="1.3"):
+            return compose("train", [*overrides], return_hydra_config=return_hydra_config)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from None
+    finally:
+        GlobalHydra.instance().hydra = outer
+
+
+def one_line(error: BaseException) -> str:
+    """Hydra's explanation on one line, its tabs and blank lines folded."""
+    cause = error.__cause__ if str(error).startswith("Error merging override") and error.__cause__ else None
+    told = f"{error}: {cause}" if cause else str(error)
+    for noise in ("Set the environment variable", "Config search path:", "full_key:"):
+        told = told.split(noise)[0]
+    text = " ".join(told.split())
+    if "Could not override" in text and "To append to your config" in text:
+        key = text.split("Could not override '")[1].split("'")[0]
+        return f"there is no configuration key '{key}': see `python train.py --cfg job` for all of them"
+    return text.replace("Available options in", "choose from the options of")
 
 
 def config_hash(cfg: DictConfig) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from see2act.config import ConfigError, composed, validate
+from see2act.files import writable
 
 MODELS = Path(__file__).parents[1] / "models"
 ATTEMPTS = 15
@@ -47,16 +48,23 @@ def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bo
     from see2act.evaluation import one_test_run
     from see2act.seeding import seed_for
 
-    cfg = composed(["task=none", "transfer=none", *overrides, f"robot.video={str(film).lower()}"])
+    cfg = composed(["task=none", "transfer=none", *overrides])
+    if "video" in cfg.robot:
+        cfg.robot.video = film
     validate(cfg)
+    build.check_parts(cfg)
     torch.set_num_threads(cfg.threads)
     model = trained.load(checkpoint or MODELS / f"{cfg.primitive.name}.safetensors", cfg.primitive.name)
+    if checkpoint is None and cfg.primitive.end_effector != model.config.primitive.end_effector:
+        raise ConfigError("models/ holds none that learned with this end effector: give --checkpoint, of a run with it")
     if cfg.workspace.pixel != model.pixel:
         raise ConfigError(
             f"workspace={cfg.workspace.name} has {cfg.workspace.pixel} m a pixel, the model learned from {model.pixel}"
         )
     robot = build.robot_factory(cfg, cfg.primitive)()
     folder = out / f"{cfg.primitive.name}-{cfg.objects.name}-seed{cfg.seed}"
+    if not writable(folder):
+        raise ConfigError(f"--out {out} cannot be written: give a folder that you may write to")
     folder.mkdir(parents=True, exist_ok=True)
     done = []
     try:

@@ -41,8 +41,11 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1}  # noqa: RUF012 (declared so by Env)
 
     def __init__(self, overrides: Sequence[str] = (), split: Split = "seen", render_mode: str | None = None):
-        cfg = composed([*overrides])
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode={render_mode} is unknown: give rgb_array, or nothing")
+        cfg = composed(overrides)
         validate(cfg)
+        build.check_parts(cfg)
         self.render_mode = render_mode
         self._split = _checked(split)
         self._angles = int(cfg.primitive.angles)
@@ -66,9 +69,15 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return self._observe(), {}
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """One pick."""
+        """One pick.
+
+        Raises:
+            ValueError: The action is not in the action space.
+        """
         if self._seen is None:
             raise gymnasium.error.ResetNeeded("call reset() before the first step()")
+        if not self.action_space.contains(np.asarray(action, np.int64)):
+            raise ValueError(f"action {action} is not [angle, row, col] in {self.action_space}")
         angle, row, col = (int(i) for i in action)
         pick = self._robot.workspace.pick(self._seen.heightmap, row, col, angle * math.pi / self._angles)
         outcome = self._robot.execute(pick)
@@ -77,7 +86,7 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """What the camera sees, (h, w, 3) uint8."""
-        return None if self.render_mode is None or self._seen is None else self._seen.color
+        return None if self.render_mode is None or self._seen is None else self._seen.color.copy()
 
     def close(self) -> None:
         """Give the simulator back."""
@@ -86,7 +95,7 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     def _observe(self) -> dict[str, np.ndarray]:
         self._seen = self._robot.observe()
         heightmap = self._seen.heightmap
-        return {"color": heightmap.color, "height": heightmap.height}
+        return {"color": heightmap.color.copy(), "height": heightmap.height.copy()}  # an agent may work in place
 
 
 def _checked(split: Any) -> Split:

@@ -14,6 +14,14 @@ class DamagedFile(ValueError):
     """A file that is not what this project wrote; the message is one line and names the mend."""
 
 
+def writable(folder: Path) -> bool:
+    """Whether a folder may be written to, or made."""
+    existing = folder.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    return existing.is_dir() and os.access(existing, os.W_OK)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends without an error."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 import signal
 import sys
@@ -20,8 +19,18 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from see2act.config import Config, ConfigError, check_arguments, check_keys, config_hash, illegal_cell, register, validate
-from see2act.files import DamagedFile, read_json
+from see2act.config import (
+    Config,
+    ConfigError,
+    check_keys,
+    composed_as_typed,
+    config_hash,
+    illegal_cell,
+    one_line,
+    register,
+    validate,
+)
+from see2act.files import DamagedFile, read_json, writable
 from see2act.results import versions
 from see2act.sweep import (
     FAILED,
@@ -82,19 +91,21 @@ def _check(overrides: list[str]) -> None:
     Raises:
         ConfigError: With one line.
     """
+    from see2act import build  # brings pybullet, which --help should not wait for
+
     if experiment := next((o.split("=")[1] for o in overrides if o.lstrip("+").startswith("experiment=")), None):
         raise ConfigError(
             f"experiment={experiment} is a sweep: add -m, and primitive=, task=, transfer= and seed= if you want one run of it"
         )
-    cfg = _composed(overrides, return_hydra_config=True)
-    plain = _composed(overrides)
+    cfg = composed_as_typed(overrides, return_hydra_config=True)
+    plain = composed_as_typed(overrides)
     try:
         OmegaConf.resolve(cfg.hydra.run)
         folder = Path(cfg.hydra.run.dir)
         validate(plain)
     except OmegaConfBaseException as error:
-        raise ConfigError(_one_line(error)) from None
-    _check_parts(plain)
+        raise ConfigError(one_line(error)) from None
+    build.check_parts(plain)
     _check_writable(folder)
     _check_writable(Path(plain.paths.cache))
     refuse_foreign(folder, plain)
@@ -111,7 +122,7 @@ def _check_sweep(overrides: list[str]) -> None:
     try:
         parsed = OverridesParser.create().parse_overrides(overrides)
     except HydraException as error:
-        raise ConfigError(_one_line(error)) from None
+        raise ConfigError(one_line(error)) from None
     first, others = [], []
     for override in parsed:
         if not override.is_sweep_override():
@@ -120,64 +131,16 @@ def _check_sweep(overrides: list[str]) -> None:
             value, *more = (f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator())
             first.append(value)
             others += more if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
-    cfg = _composed(first)
+    cfg = composed_as_typed(first)
     check_keys(cfg)
     for option in others:
         if OmegaConf.is_config(cfg[option.split("=")[0]]):
-            _composed([*first, option])
-
-
-def _composed(overrides: list[str], return_hydra_config: bool = False) -> DictConfig:
-    from hydra import compose, initialize_config_module
-
-    with initialize_config_module("see2act.conf", version_base="1.3"):
-        try:
-            return compose("train", overrides, return_hydra_config=return_hydra_config)
-        except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(_one_line(error)) from None
-
-
-def _one_line(error: Exception) -> str:
-    """Hydra's explanation on one line, its tabs and blank lines folded."""
-    cause = error.__cause__ if str(error).startswith("Error merging override") and error.__cause__ else None
-    told = f"{error}: {cause}" if cause else str(error)
-    for noise in ("Set the environment variable", "Config search path:", "full_key:"):
-        told = told.split(noise)[0]
-    text = " ".join(told.split())
-    if "Could not override" in text and "To append to your config" in text:
-        key = text.split("Could not override '")[1].split("'")[0]
-        return f"there is no configuration key '{key}': see `python train.py --cfg job` for all of them"
-    return text.replace("Available options in", "choose from the options of")
-
-
-def _check_parts(cfg: DictConfig) -> None:
-    """Build what is cheap to build, so that wrong parameters of objects, camera or workspace show now."""
-    from hydra.utils import instantiate
-    from see2act import build
-    from see2act.robot.types import RobotError
-
-    for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
-        check_arguments(cfg[group], group)
-    try:
-        instantiate(cfg.workspace)
-        instantiate(cfg.camera, _convert_="all")
-        instantiate(cfg.objects, _convert_="all")
-        build.policy(cfg)
-        build.robot_factory(cfg, cfg.primitive)().close()
-    except (RobotError, HydraException) as error:
-        cause = error.__cause__ or error
-        raise ConfigError(" ".join(str(cause).split())) from None
+            composed_as_typed([*first, option])
 
 
 def _check_writable(folder: Path) -> None:
-    existing = folder.absolute()
-    while not existing.exists():
-        existing = existing.parent
-    if not existing.is_dir() or not os.access(existing, os.W_OK):
-        raise ConfigError(
-            f"{folder} cannot be written, since {existing} is no folder you may write to: "
-            "choose another with hydra.run.dir= or paths.cache="
-        )
+    if not writable(folder):
+        raise ConfigError(f"{folder} cannot be written: choose another with hydra.run.dir= or paths.cache=")
 
 
 @hydra.main(version_base="1.3", config_path="pkg://see2act.conf", config_name="train")
@@ -223,8 +186,10 @@ def _job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
 
 
 def _checked(cfg: DictConfig, folder: Path) -> float:
+    from see2act import build
+
     validate(cfg)
-    _check_parts(cfg)
+    build.check_parts(cfg)
     return run(cfg, folder)
 
 

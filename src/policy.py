@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import stats
 from scipy.special import expit
 from see2act.robot.types import Heightmap
@@ -114,30 +114,16 @@ class Policy:
 
     def _allowed(self, shape: tuple[int, ...], heightmap: Heightmap) -> np.ndarray:
         self._failures = [f for f in self._failures if not self._changed(f, heightmap)]
-        angles, rows, cols = shape
-        room = self._room(angles, rows, cols)
+        room = room_between_walls(shape, self.footprint)
         allowed = room.copy()
-        v, u = np.ogrid[:rows, :cols]
+        v, u = np.ogrid[: shape[1], : shape[2]]
         for failure in self._failures:
             c = failure.choice
             near = (v - c.row) ** 2 + (u - c.col) ** 2 <= self.radius**2
-            beside = [(c.angle + k) % angles for k in range(-self.angles, self.angles + 1)]
+            beside = [(c.angle + k) % shape[0] for k in range(-self.angles, self.angles + 1)]
             for angle in set(beside):
                 allowed[angle] &= ~near
         return allowed if allowed.any() else room
-
-    def _room(self, angles: int, rows: int, cols: int) -> np.ndarray:
-        """Where the tool, turned by each angle, stays between the walls."""
-        room = np.zeros((angles, rows, cols), bool)
-        along, across = self.footprint
-        for k in range(angles):
-            cosine, sine = abs(math.cos(k * math.pi / angles)), abs(math.sin(k * math.pi / angles))
-            top, left = (
-                max(0, math.ceil(reach - 0.5 - 1e-6))  # a pixel's middle is at its index and a half
-                for reach in (along * sine + across * cosine, along * cosine + across * sine)
-            )
-            room[k, top : rows - top, left : cols - left] = True
-        return room
 
     def _changed(self, failure: _Failure, heightmap: Heightmap) -> bool:
         difference = np.abs(self._patch(heightmap, failure.choice) - failure.height)
@@ -148,3 +134,23 @@ class Policy:
         rows = slice(max(0, choice.row - r), choice.row + r + 1)
         cols = slice(max(0, choice.col - r), choice.col + r + 1)
         return heightmap.height[rows, cols]
+
+
+def room_between_walls(shape: tuple[int, ...], footprint: tuple[float, float]) -> Bool[np.ndarray, "A H W"]:
+    """Where a tool, turned by each angle, stays within the heightmap: its border is where the walls stand.
+
+    Args:
+        shape: Angles (over half a turn), rows and columns.
+        footprint: As of :class:`Policy`.
+    """
+    angles, rows, cols = shape
+    room = np.zeros(shape, bool)
+    along, across = footprint
+    for k in range(angles):
+        cosine, sine = abs(math.cos(k * math.pi / angles)), abs(math.sin(k * math.pi / angles))
+        top, left = (
+            max(0, math.ceil(reach - 0.5 - 1e-6))  # a pixel's middle is at its index and a half
+            for reach in (along * sine + across * cosine, along * cosine + across * sine)
+        )
+        room[k, top : rows - top, left : cols - left] = True
+    return room

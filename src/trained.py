@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from hydra.utils import instantiate
+from hydra.errors import HydraException
+from hydra.utils import get_class, instantiate
 from jaxtyping import Float, UInt8
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from safetensors.torch import save as serialized
@@ -88,16 +90,36 @@ def load(path: Path, primitive: str | None = None) -> TrainedModel:
         ) from None
     if CONFIG not in metadata:
         raise ModelFileError(f"{path} says nothing of its configuration: give checkpoints/{FILE} of a finished run")
-    config = OmegaConf.create(json.loads(metadata[CONFIG]))
-    assert isinstance(config, DictConfig)
-    network: PixelNetwork = instantiate(config.model.network)
-    network.load_state_dict(state)
-    network.speed_up(native_precision())
-    network.eval()
-    model = TrainedModel(network, config, metadata[HASH])
-    if primitive not in (None, model.primitive):
-        raise ModelFileError(f"{path} was trained for primitive={model.primitive}, not {primitive}: give one of {primitive}")
-    return model
+    try:
+        config = OmegaConf.create(json.loads(metadata[CONFIG]))
+        assert isinstance(config, DictConfig)
+        trained_for = str(config.primitive.name)
+        if primitive not in (None, trained_for):
+            raise ModelFileError(f"{path} was trained for primitive={trained_for}, not {primitive}: give one of {primitive}")
+        network = _built(config.model.network)
+        network.load_state_dict(state)
+        # Weights that were trained in single precision stay in it.
+        network.speed_up(native_precision() if config.precision == "bf16" else "fp32")
+        return TrainedModel(network.eval(), config, metadata[HASH])
+    except (ImportError, LookupError, ValueError, RuntimeError, HydraException, OmegaConfBaseException) as error:
+        if isinstance(error, ModelFileError):
+            raise
+        raise ModelFileError(
+            f"{path} holds no model of this version ({' '.join(str(error).split())[:200]}): give checkpoints/{FILE} of a "
+            "finished run; for a network of your own, its module must be on PYTHONPATH"
+        ) from None
+
+
+def _built(node: DictConfig) -> PixelNetwork:
+    """The network that a file names, and nothing else that a file might want called.
+
+    Raises:
+        ValueError: It names something else.
+    """
+    if not issubclass(get_class(node._target_), PixelNetwork) or any(OmegaConf.is_config(node[key]) for key in node):
+        raise ValueError(f"{node._target_} is no network that is made of numbers and words")
+    network: PixelNetwork = instantiate(node)
+    return network
 
 
 def _metadata(path: Path) -> Mapping[str, str]:
@@ -105,6 +127,6 @@ def _metadata(path: Path) -> Mapping[str, str]:
         return dict(file.metadata() or {})
 
 
-@cache
+@lru_cache(maxsize=2)  # hundreds of megabytes each, for a large heightmap with sixteen angles
 def _rotations(shape: tuple[int, int], angles: int, stride: int) -> Rotations:
     return Rotations(shape, angles, stride)

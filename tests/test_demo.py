@@ -55,6 +55,14 @@ def test_what_does_not_fit_is_refused(model: Path, tmp_path: Path) -> None:
         clear(["primitive=suction", "workspace=suction_real"], model, tmp_path, film=False)
     with pytest.raises(SystemExit, match="is not there"):
         main(["--checkpoint", str(tmp_path / "none.safetensors"), "--out", str(tmp_path)])
+    with pytest.raises(ConfigError, match="learned with this end effector"):
+        clear(["primitive=grasp_rg2"], None, tmp_path, film=False)
+    for overrides in (["primitive=foo"], ["nonsense"], ["seed=x"], ["objects=folder"], ["objects.scale=[2,3]"]):
+        with pytest.raises(SystemExit, match="see2act: ") as told:
+            main([*overrides, "--checkpoint", str(model), "--out", str(tmp_path)])
+        assert "\n" not in str(told.value)
+    with pytest.raises(SystemExit, match="cannot be written"):
+        main(["primitive=suction", "--checkpoint", str(model), "--out", str(model)])
     assert not list(tmp_path.iterdir())
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logit
 from see2act import build
 from see2act.config import composed
-from see2act.policy import Policy
+from see2act.policy import Policy, room_between_walls
 from see2act.robot.types import Heightmap
 
 
@@ -115,7 +115,7 @@ def test_a_gripper_in_the_outermost_pixels_it_may_use_touches_no_wall(make_robot
     robot, cfg = make_robot("primitive=grasp"), composed(["primitive=grasp"])
     robot.reset(0, "seen", count=0)
     heightmap = robot.observe().heightmap
-    room = build.policy(cfg)._room(16, *heightmap.height.shape)
+    room = room_between_walls((16, *heightmap.height.shape), build.policy(cfg).footprint)
     for angle in range(0, 16, 3):
         rows, cols = np.nonzero(room[angle])
         for row, col in ((rows.min(), cols.min()), (rows.max(), cols.max()), (rows.min(), cols.max())):

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from see2act.files import replacing, write_json
+from see2act.files import replacing, writable, write_json
+
+if TYPE_CHECKING:
+    from see2act.prediction.predict import Prediction
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -29,8 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--intrinsics", type=Path, required=True, metavar="F", help="3 x 3, pixels")
     add("--background-depth", type=Path, metavar="F", help="the same view of the empty bin, in the same units")
     add("--pose", type=Path, metavar="F", help="4 x 4, camera to world; without it the dominant plane is the floor")
-    words = "metres of the world between which to pick (default: where floor is seen)"
+    words = "the inside of the bin, metres of the world (default: where floor is seen)"
     add("--bounds", type=float, nargs=4, metavar=("X0", "Y0", "X1", "Y1"), help=words)
+    add("--floor", type=float, metavar="Z", help="metres of the world, of the bin's floor (default: 0 with a pose, else found)")
     add("--primitive", choices=("suction", "grasp"), help="refuse a checkpoint of the other one")
     add("--count", type=int, default=10, metavar="N", help="picks at most (default 10)")
     add("--apart", type=float, default=0.02, metavar="M", help="metres between any two (default 0.02)")
@@ -41,16 +46,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except InputError as error:
         sys.exit(f"see2act: {error}")
     from see2act.prediction.picture import picture  # torch takes seconds, which a refusal should not
-    from see2act.prediction.predict import ImageError, predict
+    from see2act.prediction.predict import predict
+    from see2act.prediction.view import ImageError
     from see2act.trained import ModelFileError, load
 
     try:
         model = load(args.checkpoint, args.primitive)
         bounds = tuple(args.bounds) if args.bounds else None
-        found = predict(**inputs, checkpoint=model, bounds=bounds, count=args.count, apart=args.apart)
+        found = predict(**inputs, checkpoint=model, bounds=bounds, floor=args.floor, count=args.count, apart=args.apart)
     except (ImageError, ModelFileError) as error:
         sys.exit(f"see2act: {error}")
-    args.out.mkdir(parents=True, exist_ok=True)
     coded = cv2.imencode(".png", cv2.cvtColor(picture(inputs["color"], found), cv2.COLOR_RGB2BGR))[1]
     with replacing(args.out / "picks.png") as partial:
         partial.write_bytes(coded.tobytes())
@@ -59,7 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         {
             "primitive": found.primitive,
             "checkpoint": {"file": str(args.checkpoint), "config_hash": model.config_hash},
+            "units": "metres, radians, pixels from 0; the image's column u and row v",
+            "world": "the given pose's" if args.pose else "z up from the dominant plane, x to the image's right",
             "camera_to_world": found.pose.tolist(),
+            "heightmap": _grid(found),
             "picks": [dataclasses.asdict(pick) for pick in found.picks],
         },
     )
@@ -67,9 +75,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         x, y, z = pick.position
         turn = "" if pick.angle is None else f", jaws along {np.degrees(pick.angle):.0f} degrees"
         print(f"{number:2}  score {pick.score:.2f}  image ({pick.u}, {pick.v})  x {x:.3f} y {y:.3f} z {z:.3f} m{turn}")
+    if not args.pose:
+        print("world: z up from the dominant plane, x to the image's right; --pose gives your robot's")
+    if not args.bounds:
+        print("without --bounds of the inside of the bin, what lies outside it may be picked")
     if not found.picks:
         print("no pick: nothing may be picked there; check bounds, pose and background")
     print(args.out / "picks.png")
+
+
+def _grid(found: Prediction) -> dict[str, Any]:
+    """Where the pixels of the heightmap are: row and column 0 at the largest y and the smallest x."""
+    rows, cols = found.workspace.shape
+    x, y = found.workspace.to_world(0, 0)
+    first = [float(x + found.origin[0]), float(y + found.origin[1])]
+    return {
+        "rows": rows,
+        "cols": cols,
+        "pixel": found.workspace.pixel,
+        "middle_of_first": first,
+        "floor": float(found.origin[2]),
+    }
 
 
 class InputError(ValueError):
@@ -78,9 +104,13 @@ class InputError(ValueError):
 
 def _read(args: argparse.Namespace) -> dict[str, Any]:
     """The files, checked for what they are by themselves."""
-    if not args.depth_scale > 0:
-        raise InputError(f"--depth-scale {args.depth_scale:g} must be positive: units of the depth per metre")
-    color = cv2.imread(str(_there(args.color, "--color")), cv2.IMREAD_COLOR)
+    for name, least in (("depth_scale", 0), ("apart", 0), ("count", 0)):
+        if not least < getattr(args, name) < math.inf:
+            raise InputError(f"--{name.replace('_', '-')} {getattr(args, name):g} must be a number above 0")
+    if not writable(args.out):
+        raise InputError(f"--out {args.out} cannot be written: give a folder that you may write to")
+    # As the sensor has it, as depth is: a camera's note of how it was held turns the one and not the other.
+    color = cv2.imread(str(_there(args.color, "--color")), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if color is None:
         raise InputError(f"{args.color} cannot be read as an image: give a PNG or JPEG")
     background = None
@@ -104,17 +134,18 @@ def _there(path: Path, option: str) -> Path:
 def _depth(path: Path) -> np.ndarray:
     try:
         depth = np.load(path) if path.suffix == ".npy" else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, ValueError) as error:
         raise InputError(f"{path} cannot be read ({error}): give what numpy.save wrote") from None
-    if depth is None or depth.ndim != 2 or depth.dtype == np.uint8:
-        shape = "no image" if depth is None else f"{depth.dtype} of shape {depth.shape}"
+    if not isinstance(depth, np.ndarray) or depth.ndim != 2 or depth.dtype.kind not in "iuf" or depth.dtype == np.uint8:
+        shape = f"{depth.dtype} of shape {depth.shape}" if isinstance(depth, np.ndarray) else "no image"
         raise InputError(f"{path} is {shape}: depth must be a 16-bit PNG of one channel, or a .npy of two dimensions")
     return np.asarray(depth, np.float32)
 
 
 def _matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
     try:
-        matrix = np.loadtxt(path.read_text().replace(",", " ").splitlines(), ndmin=2)
+        lines = [line for line in path.read_text().replace(",", " ").splitlines() if line.split("#")[0].strip()]
+        matrix = np.loadtxt(lines, ndmin=2) if lines else np.empty((0, 0))
     except (ValueError, OSError) as error:
         raise InputError(f"{path} is no matrix ({' '.join(str(error).split())}): write a row a line") from None
     if matrix.shape != shape:

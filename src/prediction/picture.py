@@ -12,7 +12,7 @@ from see2act.prediction.predict import Prediction, ScoredPick
 JAW = 0.04
 """Metres from the middle of a grasp to each end of the line that shows along what the jaws close."""
 SHARE = 0.45
-"""Of the heatmap's colour, where the model is sure."""
+"""Of the heatmap in a picture's colour."""
 MARK = (255, 255, 255)
 EDGE = (0, 0, 0)
 
@@ -40,9 +40,8 @@ def picture(color: UInt8[np.ndarray, "h w 3"], prediction: Prediction) -> UInt8[
 
 
 def _heated(color: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """Colour under the heatmap, which covers as much as the model is sure, next to its best."""
-    share = scores / max(float(scores.max()), 1e-6)
-    heat = cv2.cvtColor(cv2.applyColorMap((share * 255).astype(np.uint8), cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+    """Colour under the heatmap: blue where failure is expected, red where success, none where nothing may be picked."""
+    heat = cv2.cvtColor(cv2.applyColorMap((scores * 255).astype(np.uint8), cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
     cover = (SHARE * (scores > 0))[..., None]
     return np.asarray(color * (1 - cover) + heat * cover).astype(np.uint8)
 

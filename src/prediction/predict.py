@@ -7,30 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.special import expit
-from see2act.robot.heightmap import highest, point_cloud, project
+from see2act.policy import room_between_walls
+from see2act.prediction.view import ImageError, View, look
+from see2act.robot.heightmap import fill_in, highest
 from see2act.robot.types import Heightmap
 from see2act.robot.workspace import Workspace
-from see2act.seeding import generator
 from see2act.trained import TrainedModel, load
 
-NEAREST, FARTHEST = 0.1, 5.0
-"""Metres from the camera between which a bin is believed to be."""
-SAMPLES = 500
-"""Planes that are tried for the floor; with a floor of a quarter of the image one of them fits but for one time in 2 600."""
-FLAT = 0.008
-"""Metres from the plane within which a point is of the floor: some three times a stereo sensor's noise at a metre."""
 STATIC = 0.005
 """Metres above the background that are not an object yet."""
-HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-"""From centres at the index to centres at the index and a half, as cameras here have them."""
-LARGEST = 4e5
-"""Pixels of the largest heightmap: 1.6 m by 1.6 m at 2.5 mm."""
-
-
-class ImageError(ValueError):
-    """An image, a calibration or bounds that nothing can be predicted from; the message is one line and names the mend."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +55,9 @@ class Prediction:
     """Camera to world."""
     intrinsics: Float[np.ndarray, "3 3"]
     workspace: Workspace
-    """The heightmap's grid. Its origin is the world's, moved to the middle of the bounds."""
+    """The heightmap's grid."""
+    origin: Float[np.ndarray, "3"]
+    """The world's position of the grid's origin: the middle of the bounds, on the floor."""
     primitive: str
 
 
@@ -81,6 +70,7 @@ def predict(
     pose: Float[np.ndarray, "4 4"] | None = None,
     background_depth: Float[np.ndarray, "h w"] | None = None,
     bounds: tuple[float, float, float, float] | None = None,
+    floor: float | None = None,
     count: int = 10,
     apart: float = 0.02,
 ) -> Prediction:
@@ -95,12 +85,14 @@ def predict(
         intrinsics: Pinhole matrix in pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; a pixel's centre is at its index, as in
             OpenCV and RealSense.
         checkpoint: A run's ``checkpoints/model.safetensors``, one of ``models/``, or what :func:`see2act.trained.load` gave.
-        pose: Camera to world: x right, y down, z forward in the image; in the world z points up, and the floor is at 0.
-            Without one the floor is the dominant plane, of the background if there is one; then the world's x is the
-            image's to the right, and its origin lies where the optical axis meets the floor.
+        pose: Camera to world: x right, y down, z forward in the image; in the world z points up. Without one the dominant
+            plane, of the background if there is one, is at z = 0; then the world's x is the image's to the right, and its
+            origin lies where the optical axis meets that plane.
         background_depth: The same view of the empty bin, in metres. What is less than 5 mm above it is not picked.
-        bounds: Smallest x, smallest y, largest x and largest y of the world, in metres, between which to pick; without them,
-            wherever floor is seen.
+        bounds: Smallest x, smallest y, largest x and largest y of the inside of the bin, in metres of the world: picks
+            without room for the whole open tool between them are left out. Without bounds, wherever floor is seen.
+        floor: The world's z of the bin's floor. Without it: 0 if there is a pose, else the level that most of what lies
+            between the bounds has.
         count: Picks at most.
         apart: Metres between any two of them.
 
@@ -108,7 +100,8 @@ def predict(
         The picks, best first, and all that a picture of them needs. ``picks`` is empty where nothing may be picked.
 
     Raises:
-        ImageError: Sizes differ, the depth is not in metres, a matrix is none, or nothing is in view.
+        ImageError: Sizes differ, the depth is not in metres, a matrix is none, nothing is in view, or the floor is not where
+            it is said to be.
         see2act.trained.ModelFileError: The checkpoint is none.
 
     Example:
@@ -116,126 +109,48 @@ def predict(
         >>> best.position_camera, best.score  # doctest: +SKIP
     """
     model = checkpoint if isinstance(checkpoint, TrainedModel) else load(Path(checkpoint))
-    depth = _metres(depth, color, "depth")
-    background = None if background_depth is None else _metres(background_depth, color, "background depth")
-    _check_matrices(intrinsics, pose)
-    centred = intrinsics + HALF
-    empty = depth if background is None else background
-    pose = floor_pose(empty, centred) if pose is None else np.asarray(pose, float)
-    points = point_cloud(depth, centred, pose)
-    empty_points = points if background is None else point_cloud(background, centred, pose)
-    low_x, low_y, high_x, high_y = bounds or _floor_bounds(empty_points, empty)
-    workspace = _workspace((high_x - low_x, high_y - low_y), model.pixel)
-    middle = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2, 0], np.float32)
-    points = points - middle
-    rows, cols, index = highest(points, depth > 0, workspace)
-    if not len(index):
-        raise ImageError("nothing of the image lies within the bounds: check bounds and pose, in metres")
-    heightmap = project(color, depth, points, workspace)
-    source = np.full(workspace.shape, -1)
-    source[rows, cols] = index
-    allowed = source >= 0
-    if background is not None:
-        under = project(color, background, empty_points - middle, workspace)
-        allowed &= heightmap.height - under.height > STATIC
-    logits = np.where(allowed, model.affordances(heightmap.color, heightmap.height), -np.inf)
-    camera = point_cloud(depth, centred, np.eye(4)).reshape(-1, 3)
-    picks = []
-    for angle, row, col in _best(logits, count, apart / model.pixel):
-        seen = int(source[row, col])
-        v, u = divmod(seen, depth.shape[1])
-        radians = angle * math.pi / len(logits) if len(logits) > 1 else None
-        x, y, z = (float(n) for n in points.reshape(-1, 3)[seen] + middle)
-        near = (float(camera[seen, 0]), float(camera[seen, 1]), float(camera[seen, 2]))
-        picks.append(ScoredPick(float(expit(logits[angle, row, col])), row, col, u, v, (x, y, z), near, radians))
+    view = look(color, depth, background_depth, intrinsics, pose, bounds, floor, model.pixel)
+    cells = highest(view.points, view.depth > 0, view.workspace)
+    if not len(cells[0]):
+        raise ImageError("nothing of the image lies between the bounds: check depth-scale, bounds and pose")
+    heightmap = fill_in(color, view.points, cells, view.workspace.shape)
+    source = np.full(view.workspace.shape, -1)
+    source[cells[0], cells[1]] = cells[2]
+    logits = model.affordances(heightmap.color, heightmap.height)
+    allowed = np.broadcast_to((source >= 0) & _risen(view, heightmap), logits.shape)
+    if bounds:
+        along, across = model.config.primitive.footprint
+        allowed = allowed & room_between_walls(logits.shape, (along / model.pixel, across / model.pixel))
+    logits = np.where(allowed, logits, -np.inf)
+    picks = tuple(_pick(view, source, logits, at) for at in _best(logits, count, apart / model.pixel))
     scores = expit(logits.max(axis=0))
-    return Prediction(tuple(picks), heightmap, scores, source, pose, intrinsics, workspace, model.primitive)
+    return Prediction(picks, heightmap, scores, source, view.pose, intrinsics, view.workspace, view.origin, model.primitive)
 
 
-def floor_pose(depth: Float[np.ndarray, "h w"], intrinsics: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4 4"]:
-    """Camera to world, with the dominant plane of a depth image for the floor and its normal for up.
-
-    RANSAC (Fischler and Bolles 1981) with planes through three readings, then least squares through all points of the best.
-
-    Raises:
-        ImageError: There are too few readings, or no plane faces the camera.
-    """
-    points = point_cloud(depth, intrinsics, np.eye(4))[depth > 0].astype(float)
-    if len(points) < 100:
-        raise ImageError(f"the depth image has {len(points)} readings, too few to find the floor: give pose")
-    rng = generator("floor")
-    some = points[rng.choice(len(points), min(len(points), 20_000), replace=False)]
-    corners = some[rng.integers(len(some), size=(SAMPLES, 3))]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals, anchors = normals[lengths > 1e-9] / lengths[lengths > 1e-9, None], corners[lengths > 1e-9, 0]
-    supports = [np.count_nonzero(np.abs((some - a) @ n) < FLAT) for n, a in zip(normals, anchors, strict=True)]
-    best = int(np.argmax(supports))
-    normal, anchor = normals[best], anchors[best]
-    for _ in range(3):
-        near = points[np.abs((points - anchor) @ normal) < FLAT]
-        anchor = near.mean(axis=0)
-        normal = np.linalg.svd(near - anchor, full_matrices=False)[2][2]
-    normal = normal if normal @ anchor < 0 else -normal  # towards the camera
-    if -normal[2] < 0.1:
-        raise ImageError("the dominant plane stands edge-on to the camera, so it is no floor: give pose")
-    origin = np.array([0, 0, (anchor @ normal) / normal[2]])
-    right = np.array([1.0, 0, 0]) - normal[0] * normal
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(normal, right), normal])  # rows: the world's axes in the camera's frame
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes, -axes @ origin
-    return pose
+def _risen(view: View, heightmap: Heightmap) -> Bool[np.ndarray, "H W"]:
+    """Where the heightmap is above the empty bin; everywhere without one."""
+    if view.background is None:
+        return np.ones(view.workspace.shape, bool)
+    cells = highest(view.background_points, view.background > 0, view.workspace)
+    if not len(cells[0]):
+        raise ImageError("the background depth has no reading between the bounds: is it of the same view?")
+    under = fill_in(view.color, view.background_points, cells, view.workspace.shape)
+    return np.asarray(heightmap.height - under.height > STATIC)
 
 
-def _metres(depth: np.ndarray, color: np.ndarray, name: str) -> Float[np.ndarray, "h w"]:
-    if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
-        raise ImageError(f"the colour image is {color.dtype} of shape {color.shape}: give 8-bit RGB, (rows, columns, 3)")
-    if depth.shape != color.shape[:2]:
-        sizes = " and ".join(f"{n[1]} x {n[0]}" for n in (color.shape, depth.shape[:2]))
-        raise ImageError(f"colour and {name} have different sizes, {sizes}: register the depth to the colour camera")
-    metres = np.nan_to_num(np.asarray(depth, np.float32), nan=0, posinf=0, neginf=0)
-    readings = metres[metres > 0]
-    if not len(readings):
-        raise ImageError(f"the {name} image has no reading")
-    median = float(np.median(readings))
-    if not NEAREST <= median <= FARTHEST:
-        raise ImageError(
-            f"half of the {name} lies beyond {median:.3g} m: it must be in metres; check depth-scale, the units per metre "
-            "(1000 for millimetres, 10000 for tenths of them)"
-        )
-    return metres
+def _pick(view: View, source: np.ndarray, logits: np.ndarray, at: tuple[int, int, int]) -> ScoredPick:
+    angle, row, col = at
+    seen = int(source[row, col])
+    v, u = divmod(seen, view.depth.shape[1])
+    position = view.points.reshape(-1, 3)[seen] + view.origin
+    from_camera = np.linalg.inv(view.pose) @ [*position, 1]
+    radians = angle * math.pi / len(logits) if len(logits) > 1 else None
+    score = float(expit(logits[angle, row, col]))
+    return ScoredPick(score, row, col, u, v, _triple(position), _triple(from_camera), radians)
 
 
-def _check_matrices(intrinsics: np.ndarray, pose: np.ndarray | None) -> None:
-    if np.shape(intrinsics) != (3, 3) or min(intrinsics[0, 0], intrinsics[1, 1]) <= 0:
-        raise ImageError("the intrinsics must be a 3 x 3 pinhole matrix in pixels: fx 0 cx, 0 fy cy, 0 0 1")
-    if pose is None:
-        return
-    if np.shape(pose) != (4, 4) or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3):
-        raise ImageError(
-            "the pose must be a 4 x 4 matrix, camera to world, with a rotation in its first three rows and columns"
-        )
-
-
-def _floor_bounds(points: np.ndarray, depth: np.ndarray) -> tuple[float, float, float, float]:
-    """Around the floor that is seen, but for its outermost hundredth to each side."""
-    floor = points[(depth > 0) & (np.abs(points[..., 2]) < FLAT)]
-    if not len(floor):
-        raise ImageError("no floor is in view at the pose's z = 0: check the pose, or give bounds")
-    (low_x, low_y), (high_x, high_y) = np.percentile(floor[:, :2], [1, 99], axis=0)
-    return float(low_x), float(low_y), float(high_x), float(high_y)
-
-
-def _workspace(size: tuple[float, float], pixel: float) -> Workspace:
-    if min(size) < 4 * pixel:
-        raise ImageError(f"the bounds span {size[0]:.3g} x {size[1]:.3g} m: give smallest x, smallest y, largest x, largest y")
-    if size[0] * size[1] / pixel**2 > LARGEST:
-        raise ImageError(
-            f"the bounds span {size[0]:.3g} x {size[1]:.3g} m, too much for {pixel * 1000:.3g} mm a pixel: give bounds"
-        )
-    width, length = (math.ceil(side / pixel) * pixel for side in size)
-    return Workspace("image", width, length, pixel)
+def _triple(vector: np.ndarray) -> tuple[float, float, float]:
+    return float(vector[0]), float(vector[1]), float(vector[2])
 
 
 def _best(logits: Float[np.ndarray, "A H W"], count: int, apart: float) -> list[tuple[int, int, int]]:

@@ -67,10 +67,17 @@ def project(color: np.ndarray, depth: np.ndarray, points: np.ndarray, workspace:
     """
     if not np.isfinite(depth).all():
         raise RobotError(f"the depth image holds {np.count_nonzero(~np.isfinite(depth))} values that are not finite")
-    rows, cols, index = highest(points, depth > 0, workspace)
-    if not len(index):
+    cells = highest(points, depth > 0, workspace)
+    if not len(cells[0]):
         raise RobotError("no point of the depth image lies in the workspace: check the camera's pose and depth unit")
-    shape = workspace.shape
+    return fill_in(color, points, cells, workspace.shape)
+
+
+def fill_in(
+    color: np.ndarray, points: np.ndarray, cells: tuple[np.ndarray, np.ndarray, np.ndarray], shape: tuple[int, int]
+) -> Heightmap:
+    """The heightmap of ``shape`` whose ``cells`` (rows, columns, image indices, as :func:`highest` gives them) were seen."""
+    rows, cols, index = cells
     valid = np.zeros(shape, bool)
     height = np.zeros(shape, np.float32)
     colors = np.zeros((*shape, 3), np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +15,13 @@ import see2act
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from safetensors.torch import load_file, save_file
 from see2act import trained
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.network import PixelNetwork
-from see2act.prediction.main import main
-from see2act.prediction.predict import HALF, ImageError, floor_pose
-from see2act.robot.heightmap import point_cloud
+from see2act.prediction.main import _read, main
+from see2act.prediction.picture import _direction_in_image
+from see2act.prediction.view import HALF, ImageError, floor_pose
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Observation
 from see2act.trained import ModelFileError, TrainedModel
@@ -85,18 +87,77 @@ def test_a_pick_says_the_same_place_in_every_frame(image: dict, highest: Trained
 
 def test_without_a_pose_the_floor_is_found(image: dict, highest: TrainedModel, robot: SimulatedRobot) -> None:
     truth = robot.camera.pose
-    points = point_cloud(image["depth"], robot.camera.intrinsics, truth)
-    inside = (np.abs(points[..., :2]) < 0.17).all(axis=-1)  # beyond is more of the table, which lies lower
-    image["depth"] = np.where(inside, image["depth"], 0)
     found = floor_pose(image["depth"], robot.camera.intrinsics)
-    assert found[2, 3] == pytest.approx(truth[2, 3], abs=0.003)
+    assert found[2, 3] == pytest.approx(truth[2, 3] + 0.01, abs=0.003)  # the table, of which more is seen than of the bin
     assert found[2, :3] @ truth[2, :3] > np.cos(np.radians(0.5))
     np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
     assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
     assert found[0, 0] > 0  # x to the image's right
-    ours = see2act.predict(**image, checkpoint=highest)
     theirs = see2act.predict(**image, checkpoint=highest, pose=truth, bounds=BOUNDS)
-    assert ours.picks[0].position[2] == pytest.approx(theirs.picks[0].position[2], abs=0.005)
+    middle = found @ np.linalg.inv(truth) @ [0, 0, 0, 1]  # of the bin, in the world that was found
+    bounds = tuple(middle[[0, 1, 0, 1]] + BOUNDS)
+    ours = see2act.predict(**image, checkpoint=highest, bounds=bounds)
+    assert ours.origin[2] == pytest.approx(0.01, abs=0.003)  # the bin's own floor
+    np.testing.assert_allclose(
+        ours.heightmap.height[ours.source >= 0].max(), theirs.heightmap.height[theirs.source >= 0].max(), atol=0.005
+    )
+    assert ours.picks[0].position[2] == pytest.approx(theirs.picks[0].position[2] + 0.01, abs=0.005)
+
+
+def test_a_floor_that_is_not_at_zero_is_asked_for(image: dict, highest: TrainedModel, robot: SimulatedRobot) -> None:
+    """As in the frame of a robot that stands on something."""
+    raised = robot.camera.pose.copy()
+    raised[2, 3] += 0.1
+    with pytest.raises(ImageError, match=r"lies at z = 0\.10\d m.*give floor 0\.10"):
+        see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS)
+    ours = see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS, floor=0.1)
+    theirs = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
+    np.testing.assert_allclose(ours.heightmap.height, theirs.heightmap.height, atol=1e-4)
+    np.testing.assert_allclose(ours.picks[0].position, np.add(theirs.picks[0].position, (0, 0, 0.1)), atol=1e-4)
+
+
+def test_a_grasp_has_room_between_the_bounds(image: dict, robot: SimulatedRobot, config: Callable[..., DictConfig]) -> None:
+    cfg = config("primitive=grasp")
+    model = TrainedModel(PixelNetwork(Highest(), nn.Identity(), stride=4, reach=1), cfg, "none")
+    found = see2act.predict(**image, checkpoint=model, pose=robot.camera.pose, bounds=BOUNDS, count=40, apart=0.005)
+    along, across = cfg.primitive.footprint
+    for pick in found.picks:
+        ends = [(s * along, t * across) for s in (-1, 1) for t in (-1, 1)]
+        cosine, sine = np.cos(pick.angle), np.sin(pick.angle)
+        corners = np.array(
+            [(pick.position[0] + a * cosine - b * sine, pick.position[1] + a * sine + b * cosine) for a, b in ends]
+        )
+        assert np.abs(corners).max() < 0.18 + 0.0025
+
+
+class Bars(nn.Module):
+    """Likes what is high and narrow along the row."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        height, average = x[:, 3:], nn.functional.avg_pool2d
+        return 20 * (average(height, 9, stride=1, padding=4) - average(height, (1, 41), stride=1, padding=(0, 20)))
+
+
+@pytest.mark.parametrize("degrees", [0, 33.75, 67.5, 90, 135])
+def test_jaws_close_across_a_bar(degrees: float, config: Callable[..., DictConfig]) -> None:
+    """A bar 3 cm wide, which has no ends, lying on a floor under a camera that looks straight down."""
+    pixels = np.indices((400, 400)) - 199.5
+    x, y = pixels[1] * 1e-3, -pixels[0] * 1e-3  # 1 mm a pixel at the floor
+    radians = np.radians(degrees)
+    across = y * np.cos(radians) - x * np.sin(radians)
+    bar = np.abs(across) < 0.015
+    depth = np.where(bar, 0.96, 1.0).astype(np.float32)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 1.0
+    model = TrainedModel(PixelNetwork(Bars(), nn.Identity(), stride=4, reach=20), config("primitive=grasp"), "none")
+    intrinsics = np.array([[1000.0, 0, 199.5], [0, 1000, 199.5], [0, 0, 1]])
+    color = np.zeros((400, 400, 3), np.uint8)
+    found = see2act.predict(color, depth, intrinsics, model, pose=pose, bounds=BOUNDS, count=1)
+    angle = np.degrees(found.picks[0].angle)
+    assert abs((angle - degrees - 90 + 90) % 180 - 90) <= 12
+    direction = _direction_in_image(found.picks[0], found)
+    assert direction is not None
+    assert np.degrees(np.arctan2(-direction[1], direction[0])) % 180 == pytest.approx(angle, abs=0.5)
 
 
 def test_bounds_away_from_the_middle_move_the_heightmap_and_not_the_world(
@@ -162,19 +223,47 @@ def test_a_grasp_s_angle_is_that_of_its_best_map(model_file: Callable[[str], Pat
         ({"intrinsics": np.eye(4)}, "3 x 3"),
         ({"pose": np.zeros((4, 4))}, "camera to world"),
         ({"bounds": (0.1, 0.1, -0.1, 0.2)}, "smallest x, smallest y"),
-        ({"bounds": (5.0, 5.0, 5.1, 5.1)}, "within the bounds"),
+        ({"bounds": (5.0, 5.0, 5.1, 5.1)}, "between the bounds"),
         ({"bounds": (-9.0, -9.0, 9.0, 9.0)}, "too much"),
         ({"color": np.zeros((360, 640), np.uint8)}, "8-bit RGB"),
+        ({"depth": "twice"}, "check pose, depth-scale and bounds|check depth-scale"),
+        ({"depth": "six times", "pose": None, "bounds": (-0.7, -0.7, 0.7, 0.7)}, r"more than 0\.3 m.*check depth-scale"),
+        ({"depth": "a row", "pose": None, "bounds": None}, "edge-on"),
+        ({"background_depth": "far"}, "most of what is seen|between the bounds"),
+        ({"background_depth": np.zeros((9, 9))}, "background depth have different sizes"),
+        ({"bounds": (np.nan, 0, 0.1, 0.1)}, "not all numbers"),
+        ({"intrinsics": "transposed"}, "pinhole matrix"),
+        ({"intrinsics": "of half the size"}, "the floor must be at 0|no level floor"),
+        ({"intrinsics": "normalised"}, "pinhole|principal point"),
+        ({"intrinsics": np.full((3, 3), np.nan)}, "pinhole matrix"),
+        ({"pose": "inverted"}, "invert it"),
+        ({"pose": "mirrored"}, "must not mirror"),
     ],
 )
 def test_bad_input_names_the_mend(
     image: dict, highest: TrainedModel, robot: SimulatedRobot, change: dict[str, Any], words: str
 ) -> None:
-    depth = image["depth"]
-    bad = {"in millimetres": depth * 1000, "smaller": depth[::2, ::2], "empty": depth * 0}
-    given = {"pose": robot.camera.pose, "bounds": BOUNDS, **image, **change}
-    if isinstance(given["depth"], str):
-        given["depth"] = bad[given["depth"]]
+    depth, intrinsics, pose = image["depth"], image["intrinsics"], robot.camera.pose
+    row = np.where(np.arange(len(depth))[:, None] == 180, depth, 0)
+    bad = {
+        "depth": {
+            "in millimetres": depth * 1000,
+            "smaller": depth[::2, ::2],
+            "empty": depth * 0,
+            "twice": depth * 2,
+            "six times": depth * 6,
+            "a row": row,
+        },
+        "background_depth": {"far": depth * 3},
+        "intrinsics": {
+            "transposed": intrinsics.T,
+            "of half the size": np.diag([0.5, 0.5, 1]) @ intrinsics,
+            "normalised": np.diag([1 / 640, 1 / 360, 1]) @ intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]],
+        },
+        "pose": {"inverted": np.linalg.inv(pose), "mirrored": pose @ np.diag([-1.0, 1, 1, 1])},
+    }
+    given = {"pose": pose, "bounds": BOUNDS, **image, **change}
+    given = {key: bad[key][value] if isinstance(value, str) else value for key, value in given.items()}
     with pytest.raises(ImageError, match=words) as told:
         see2act.predict(**given, checkpoint=highest)
     assert "\n" not in str(told.value)
@@ -217,7 +306,7 @@ def test_the_command_leaves_picks_and_a_picture(files: dict[str, str], capsys: p
     ("option", "value", "words"),
     [
         ("--depth-scale", "1", "check depth-scale"),
-        ("--depth-scale", "0", "positive"),
+        ("--depth-scale", "0", "--depth-scale 0 must be a number above 0"),
         ("--intrinsics", "nowhere.txt", "nowhere.txt is not there"),
         ("--checkpoint", "nowhere.safetensors", "model.safetensors of a finished run"),
         ("--primitive", "suction", "trained for primitive=grasp, not suction"),
@@ -226,19 +315,72 @@ def test_the_command_leaves_picks_and_a_picture(files: dict[str, str], capsys: p
         ("--intrinsics", "the colour", "is no matrix"),
         ("--pose", "the intrinsics", "is 3 x 3, not 4 x 4"),
         ("--checkpoint", "the colour", "cannot be read as safetensors"),
+        ("--depth", "an empty file", "cannot be read"),
+        ("--depth", "words", "depth must be a 16-bit PNG"),
+        ("--intrinsics", "an empty file", "is 0 x 0, not 3 x 3"),
+        ("--apart", "0", "--apart 0 must be a number above 0"),
+        ("--count", "0", "--count 0 must be a number above 0"),
+        ("--out", "the colour", "cannot be written"),
     ],
 )
 def test_bad_files_are_refused_in_one_line(files: dict[str, str], option: str, value: str, words: str) -> None:
-    given = {"the colour": files["--color"], "the intrinsics": files["--intrinsics"]}.get(value, value)
+    folder = Path(files["--color"]).parent
+    (folder / "empty.npy").touch()
+    np.save(folder / "words.npy", np.array([["a", "b"]]))
+    known = {"the colour": files["--color"], "the intrinsics": files["--intrinsics"]}
+    known |= {"an empty file": str(folder / "empty.npy"), "words": str(folder / "words.npy")}
+    given = known.get(value, value)
     with pytest.raises(SystemExit, match=words) as told:
         main(_command({**files, option: given}))
     assert str(told.value).count("\n") == 0
     assert not Path(files["--out"]).exists()
 
 
-def test_weights_without_their_configuration_are_refused(tmp_path: Path) -> None:
-    from safetensors.torch import save_file
+def test_a_photograph_that_was_held_upside_down_is_not_turned(files: dict[str, str]) -> None:
+    """Its EXIF says so, and the depth has no such note."""
+    jpeg = Path(files["--color"]).with_suffix(".jpg")
+    cv2.imwrite(str(jpeg), cv2.imread(files["--color"]))
+    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x03\0\0\0\0\0\0"  # orientation 3
+    data = jpeg.read_bytes()
+    jpeg.write_bytes(data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:])
+    upright = cv2.imread(files["--color"]).astype(int)
+    assert np.abs(cv2.imread(str(jpeg)).astype(int) - upright).mean() > 10  # so OpenCV itself obeys
+    args = argparse.Namespace(**{name[2:].replace("-", "_"): Path(value) for name, value in files.items()})
+    args.color, args.depth_scale, args.count, args.apart, args.pose, args.background_depth = jpeg, 1e4, 1, 0.1, None, None
+    read = cv2.cvtColor(_read(args)["color"], cv2.COLOR_RGB2BGR).astype(int)
+    assert np.abs(read - upright).mean() < 3
 
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("model.network._target_", "shutil.copy", "holds no model of this version"),
+        ("model.network._target_", "torch.nn.Linear", "is no network"),
+        ("model.network._target_", "nobody.has.This", "on PYTHONPATH"),
+        ("model.network.width", {"_target_": "os.getcwd"}, "numbers and words"),
+        ("model.network.width", 8, "holds no model of this version"),
+    ],
+)
+def test_a_file_cannot_have_anything_called_but_a_network(
+    model_file: Callable[[str], Path], tmp_path: Path, key: str, value: Any, words: str
+) -> None:
+    path = model_file("suction")
+    metadata = dict(trained._metadata(path))
+    config = OmegaConf.create(json.loads(metadata[trained.CONFIG]))
+    OmegaConf.update(config, key, value)
+    metadata[trained.CONFIG] = json.dumps(OmegaConf.to_container(config))
+    save_file(load_file(path), tmp_path / "bad.safetensors", metadata)
+    with pytest.raises(ModelFileError, match=words) as told:
+        trained.load(tmp_path / "bad.safetensors")
+    assert "\n" not in str(told.value)
+    del metadata[trained.HASH]
+    metadata[trained.CONFIG] = trained._metadata(path)[trained.CONFIG]
+    save_file(load_file(path), tmp_path / "bad.safetensors", metadata)
+    with pytest.raises(ModelFileError, match="holds no model of this version"):
+        trained.load(tmp_path / "bad.safetensors")
+
+
+def test_weights_without_their_configuration_are_refused(tmp_path: Path) -> None:
     save_file({"weight": torch.zeros(1)}, tmp_path / "bare.safetensors")
     with pytest.raises(ModelFileError, match="says nothing of its configuration"):
         trained.load(tmp_path / "bare.safetensors")
