@@ -21,7 +21,7 @@ from see2act.report.runs import SPLITS, Run
 from see2act.report.summary import Row, aggregates, comparisons
 
 GALLERY = {
-    "heatmaps": "heatmaps of the models, before and after",
+    "heatmaps": "heatmaps of the models, before and after, each panel on a colour scale of its own",
     "picks": "a pick on seen and on unseen objects",
     "failures": "failed picks of the last evaluation, by cause",
 }
