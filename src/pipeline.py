@@ -265,6 +265,7 @@ class Run:
                 cfg.finetune.updates,
                 cfg.finetune.temperature,
                 cfg.finetune.episode_attempts,
+                cfg.evaluate.scenes,
             )
             loop = TrialAndError(
                 data,

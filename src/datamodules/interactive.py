@@ -32,6 +32,7 @@ class InteractiveDataModule(L.LightningDataModule):
         updates: Learning steps after each attempt.
         temperature: Of the softmax over scores that picks are drawn from; 0 takes the best.
         episode_attempts: Attempts after which a bin that is not yet empty is given up.
+        scenes: Which scenes: ``evaluate`` for the benchmark's, ``develop`` for others, to choose settings by.
     """
 
     def __init__(
@@ -44,11 +45,13 @@ class InteractiveDataModule(L.LightningDataModule):
         updates: int,
         temperature: float,
         episode_attempts: int,
+        scenes: str = "evaluate",
     ):
         super().__init__()
         self._robot, self._policy, self.replay = robot, policy, replay
         self._seed, self._batch_size, self._updates = seed, batch_size, updates
         self._temperature, self._episode_attempts = temperature, episode_attempts
+        self._scenes = "scene/finetune" if scenes == "evaluate" else f"scene/{scenes}/finetune"
         self._explore = generator("explore", seed)
         self.attempts = 0
         """Attempts so far."""
@@ -65,7 +68,7 @@ class InteractiveDataModule(L.LightningDataModule):
     @property
     def scene_seed(self) -> int:
         """Of the present episode."""
-        return seed_for("scene/finetune", self._seed, self.episode)
+        return seed_for(self._scenes, self._seed, self.episode)
 
     def act(self, affordances: Affordances) -> None:
         """One attempt: observe, decide, act, remember."""
