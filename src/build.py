@@ -49,11 +49,8 @@ def check_parts(cfg: DictConfig) -> None:
     try:
         for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
             check_arguments(cfg[group], group)
-        instantiate(cfg.workspace)
-        instantiate(cfg.camera, _convert_="all")
-        instantiate(cfg.objects, _convert_="all")
-        policy(cfg)
         robot_factory(cfg, cfg.primitive)().close()
+        policy(cfg)
     except (RobotError, HydraException, OmegaConfBaseException) as error:
         cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
         raise ConfigError(one_line(cause)) from None

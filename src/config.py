@@ -210,7 +210,6 @@ def composed(overrides: Sequence[str] = ()) -> DictConfig:
     Raises:
         ConfigError: A key or an option does not exist, with one line.
     """
-    register()
     return composed_as_typed(["paths.output=.", *overrides])
 
 
@@ -220,6 +219,7 @@ def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = Fals
     Raises:
         ConfigError: A key or an option does not exist, with one line.
     """
+    register()
     outer = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
     try:

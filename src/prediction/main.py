@@ -104,8 +104,8 @@ class InputError(ValueError):
 
 def _read(args: argparse.Namespace) -> dict[str, Any]:
     """The files, checked for what they are by themselves."""
-    for name, least in (("depth_scale", 0), ("apart", 0), ("count", 0)):
-        if not least < getattr(args, name) < math.inf:
+    for name in ("depth_scale", "apart", "count"):
+        if not 0 < getattr(args, name) < math.inf:
             raise InputError(f"--{name.replace('_', '-')} {getattr(args, name):g} must be a number above 0")
     if not writable(args.out):
         raise InputError(f"--out {args.out} cannot be written: give a folder that you may write to")

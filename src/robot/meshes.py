@@ -105,7 +105,7 @@ def folder(
         RobotError: The folder is none or has too few files, two have the same name, or an object has no volume or does not
             fit the gripper or the bin.
     """
-    files = mesh_files(path)
+    files = _mesh_files(path)
     unseen = round(held_out * len(files))
     if min(unseen, len(files) - unseen) < kinds:
         raise RobotError(
@@ -119,7 +119,7 @@ def folder(
     return objects
 
 
-def mesh_files(path: str) -> dict[str, Path]:
+def _mesh_files(path: str) -> dict[str, Path]:
     """The OBJ and STL files in a folder and those within it, by the names that objects take from them.
 
     Raises:
