@@ -1,6 +1,7 @@
 """How much room the benchmark leaves: scripted policies under the paper's evaluation protocol.
 
-An oracle that knows the scene should pick nearly always, and a random pixel rarely.
+An oracle that knows the scene should pick nearly always, and a random pixel rarely. `--policies trained` sends the models that
+are in `models/`, to see what they make of other objects (`objects=random_urdfs`).
 `--scenes develop` takes other scenes than evaluation does: use it while changing the scene, the tools or
 the objects.
 """
@@ -12,9 +13,11 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from see2act import build
+import torch
+from see2act import build, trained
 from see2act.attempt import Affordances
 from see2act.config import composed
+from see2act.demo import MODELS
 from see2act.evaluation import SPLITS, one_test_run, scene_seed
 from see2act.files import write_json
 from see2act.policy import Policy
@@ -29,14 +32,20 @@ from benchmarks.common import PRIMITIVES, arguments, at_least_one, show, spread
 TARGETS = {("oracle", "suction"): 0.95, ("oracle", "grasp"): 0.92, ("random", "suction"): 0.15, ("random", "grasp"): 0.20}
 """The oracle at least, a random pixel at most."""
 PER_OBJECT = 0.85
-POLICIES = ("oracle", "random", "random_foreground")
+SCRIPTED = ("oracle", "random", "random_foreground")
+TRAINED = "trained"
 
 
 def measure(overrides: list[str], primitive: str, split: Split, policy: str, scenes: str, wanted: int) -> dict[str, Any]:
     """Test runs until at least ``wanted`` attempts were made."""
     cfg = composed([*overrides, f"primitive={primitive}"])
     robot = build.robot_factory(cfg, cfg.primitive)()
-    scores, rule = _scripted(policy, robot, cfg.primitive.angles, build.policy(cfg))
+    rule = build.policy(cfg)
+    if policy == TRAINED:
+        torch.set_num_threads(1)
+        scores: Affordances = trained.load(MODELS / f"{primitive}.safetensors", primitive).affordances
+    else:
+        scores, rule = _scripted(policy, robot, cfg.primitive.angles, rule)
     objects: dict[str, list[int]] = defaultdict(lambda: [0, 0])
     aimed: list[np.ndarray] = []
     names: dict[int, str] = {}
@@ -93,7 +102,7 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--attempts", type=at_least_one, default=200, metavar="N", help="at least so many a row (default 200)")
     parser.add_argument("--scenes", choices=("evaluate", "develop"), default="evaluate")
-    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=POLICIES)
+    parser.add_argument("--policies", nargs="+", choices=(*SCRIPTED, TRAINED), default=SCRIPTED)
     parser.add_argument("--primitives", nargs="+", choices=(*PRIMITIVES, "grasp_rg2"), default=PRIMITIVES)
     args = parser.parse_args()
     jobs = [
@@ -107,7 +116,7 @@ def main() -> None:
         target = TARGETS.get((row["policy"], row["primitive"]))
         better = row["rate"] >= target if row["policy"] == "oracle" else target is None or row["rate"] <= target
         row["target"], row["met"] = target, better if target else None
-    show("Scripted policies", [{k: v for k, v in row.items() if k != "objects"} for row in rows])
+    show("Policies", [{k: v for k, v in row.items() if k != "objects"} for row in rows])
     by_object = [
         {
             "primitive": row["primitive"],

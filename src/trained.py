@@ -22,6 +22,7 @@ from see2act.files import replacing
 from see2act.modules.affordance import affordances
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import Rotations
+from torch import Tensor
 
 FILE = "model.safetensors"
 """Its name among a run's checkpoints."""
@@ -91,23 +92,25 @@ def load(path: Path, primitive: str | None = None) -> TrainedModel:
     if CONFIG not in metadata:
         raise ModelFileError(f"{path} says nothing of its configuration: give checkpoints/{FILE} of a finished run")
     try:
-        config = OmegaConf.create(json.loads(metadata[CONFIG]))
-        assert isinstance(config, DictConfig)
-        trained_for = str(config.primitive.name)
-        if primitive not in (None, trained_for):
-            raise ModelFileError(f"{path} was trained for primitive={trained_for}, not {primitive}: give one of {primitive}")
-        network = _built(config.model.network)
-        network.load_state_dict(state)
-        # Weights that were trained in single precision stay in it.
-        network.speed_up(native_precision() if config.precision == "bf16" else "fp32")
-        return TrainedModel(network.eval(), config, metadata[HASH])
+        model = _model(metadata, state)
     except (ImportError, LookupError, ValueError, RuntimeError, HydraException, OmegaConfBaseException) as error:
-        if isinstance(error, ModelFileError):
-            raise
         raise ModelFileError(
             f"{path} holds no model of this version ({' '.join(str(error).split())[:200]}): give checkpoints/{FILE} of a "
             "finished run; for a network of your own, its module must be on PYTHONPATH"
         ) from None
+    if primitive not in (None, model.primitive):
+        raise ModelFileError(f"{path} was trained for primitive={model.primitive}, not {primitive}: give one of {primitive}")
+    return model
+
+
+def _model(metadata: Mapping[str, str], state: dict[str, Tensor]) -> TrainedModel:
+    config = OmegaConf.create(json.loads(metadata[CONFIG]))
+    assert isinstance(config, DictConfig)
+    network = _built(config.model.network)
+    network.load_state_dict(state)
+    # Weights that were trained in single precision stay in it.
+    network.speed_up(native_precision() if config.precision == "bf16" else "fp32")
+    return TrainedModel(network.eval(), config, metadata[HASH])
 
 
 def _built(node: DictConfig) -> PixelNetwork:

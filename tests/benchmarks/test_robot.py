@@ -51,3 +51,9 @@ def test_an_oracle_picks_and_a_random_pixel_does_not() -> None:
     assert oracle["rate"] >= 0.8 > 0.5 >= chance["rate"]
     assert sum(n for _, n in oracle["objects"].values()) == oracle["attempts"]
     assert oracle["objects"].get("floor", (0, 0))[0] == 0
+
+
+def test_the_models_that_are_shipped_pick() -> None:
+    row = validity.measure([], "suction", "unseen", "trained", "develop", 10)
+    assert row["rate"] >= 0.8
+    assert row["objects"] == {}
