@@ -324,6 +324,22 @@ def illegal_cell(cfg: DictConfig) -> str | None:
     return None
 
 
+COUNTS = (
+    "threads",
+    *(f"collect.{key}" for key in ("interactions", "per_scene", "workers")),
+    *(f"pretrain.{key}" for key in ("epochs", "batch_size", "test_scenes")),
+    *(f"finetune.{key}" for key in ("updates", "batch_size", "episode_attempts")),
+    *("evaluate.runs", "primitive.angles", "model.width", "figures.scenes"),
+)
+"""Keys that must be at least 1."""
+NOT_NEGATIVE = (
+    "pretrain.lr",
+    *(f"finetune.{key}" for key in ("attempts", "backbone_lr", "head_lr", "weight_decay", "temperature")),
+    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "floor", "turn", "shift", "tint")),
+)
+"""Keys that must be at least 0."""
+
+
 def validate(cfg: DictConfig) -> None:
     """Refuse what cannot run, before any work.
 
@@ -333,6 +349,13 @@ def validate(cfg: DictConfig) -> None:
     check_keys(cfg)
     if reason := illegal_cell(cfg):
         raise ConfigError(reason)
+    _check_words(cfg)
+    _check_numbers(cfg)
+    _check_footprint(cfg)
+    _check_vision(cfg)
+
+
+def _check_words(cfg: DictConfig) -> None:
     _choice("labels", cfg.labels, ("truth", "vision"))
     _choice("precision", cfg.precision, ("bf16", "fp32"))
     if "precision" in cfg.trainer:
@@ -340,41 +363,34 @@ def validate(cfg: DictConfig) -> None:
     _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
     _choice("evaluate.scenes", cfg.evaluate.scenes, ("evaluate", "develop"))
     _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
-    _at_least("finetune.attempts", cfg.finetune.attempts, 0)
-    for key in (
-        "collect.interactions",
-        "collect.per_scene",
-        "collect.workers",
-        "pretrain.epochs",
-        "pretrain.batch_size",
-        "pretrain.test_scenes",
-    ):
-        _at_least(key, OmegaConf.select(cfg, key), 1)
-    _at_least("threads", cfg.threads, 1)
-    for key in ("finetune.updates", "finetune.batch_size", "finetune.episode_attempts", "evaluate.runs"):
-        _at_least(key, OmegaConf.select(cfg, key), 1)
-    for key in ("primitive.angles", "model.width", "figures.scenes"):
-        _at_least(key, OmegaConf.select(cfg, key, default=1), 1)
-    room = min(cfg.workspace.width, cfg.workspace.length) / 2 - cfg.workspace.pixel
-    footprint = cfg.primitive.footprint
-    if len(footprint) != 2 or not all(0 <= side < room / math.sqrt(2) for side in footprint):
-        raise ConfigError(
-            f"primitive.footprint={list(footprint)} leaves nothing to pick from: it must be [along, across] in metres, each "
-            f"between 0 and {room / math.sqrt(2):.3f}"
-        )
-    for key in ("alpha", "beta", "floor", "turn", "shift", "tint"):
-        _at_least(f"finetune.replay.{key}", cfg.finetune.replay[key], 0)
-    _at_least("finetune.weight_decay", cfg.finetune.weight_decay, 0)
-    if not 0 <= cfg.finetune.averaging < 1:
-        raise ConfigError(f"finetune.averaging={cfg.finetune.averaging} must be at least 0 and below 1: 0 does not average")
-    if cfg.finetune.logit_scale <= 0:
-        raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
-    for key in ("pretrain.lr", "finetune.backbone_lr", "finetune.head_lr", "finetune.temperature"):
+
+
+def _check_numbers(cfg: DictConfig) -> None:
+    for key in COUNTS:
+        _at_least(key, OmegaConf.select(cfg, key, default=1), 1)  # not every model has a width
+    for key in NOT_NEGATIVE:
         _at_least(key, OmegaConf.select(cfg, key), 0)
     for split in ("seen", "unseen"):
         _at_least(f"evaluate.attempts.{split}", cfg.evaluate.attempts.get(split, 0), 1)
     for step in cfg.evaluate.at:
         _at_least("evaluate.at", step, 0)
+    if not 0 <= cfg.finetune.averaging < 1:
+        raise ConfigError(f"finetune.averaging={cfg.finetune.averaging} must be at least 0 and below 1: 0 does not average")
+    if cfg.finetune.logit_scale <= 0:
+        raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
+
+
+def _check_footprint(cfg: DictConfig) -> None:
+    footprint = cfg.primitive.footprint
+    most = (min(cfg.workspace.width, cfg.workspace.length) / 2 - cfg.workspace.pixel) / math.sqrt(2)
+    if len(footprint) != 2 or not all(0 <= side < most for side in footprint):
+        raise ConfigError(
+            f"primitive.footprint={list(footprint)} leaves nothing to pick from: it must be [along, across] in metres, each "
+            f"between 0 and {most:.3f}"
+        )
+
+
+def _check_vision(cfg: DictConfig) -> None:
     if cfg.task.weights and not (cfg.task.label or cfg.task.off_the_shelf):
         raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
     if cfg.task.weights and not Path(cfg.task.weights).is_file():

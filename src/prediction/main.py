@@ -24,6 +24,27 @@ if TYPE_CHECKING:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command."""
+    args = _parser().parse_args(arguments)
+    try:
+        inputs = _read(args)
+    except InputError as error:
+        sys.exit(f"see2act: {error}")
+    from see2act.prediction.picture import picture  # torch takes seconds, which a refusal should not
+    from see2act.prediction.predict import predict
+    from see2act.prediction.view import ImageError
+    from see2act.trained import ModelFileError, load
+
+    try:
+        model = load(args.checkpoint, args.primitive)
+        bounds = tuple(args.bounds) if args.bounds else None
+        found = predict(**inputs, checkpoint=model, bounds=bounds, floor=args.floor, count=args.count, apart=args.apart)
+    except (ImageError, ModelFileError) as error:
+        sys.exit(f"see2act: {error}")
+    _write(args, found, picture(inputs["color"], found), model.config_hash)
+    _tell(args, found)
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--checkpoint", type=Path, required=True, metavar="F", help="models/*.safetensors, or model.safetensors of a run")
@@ -40,30 +61,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--count", type=int, default=10, metavar="N", help="picks at most (default 10)")
     add("--apart", type=float, default=0.02, metavar="M", help="metres between any two (default 0.02)")
     add("--out", type=Path, required=True, metavar="DIR", help="where picks.json and picks.png go")
-    args = parser.parse_args(arguments)
-    try:
-        inputs = _read(args)
-    except InputError as error:
-        sys.exit(f"see2act: {error}")
-    from see2act.prediction.picture import picture  # torch takes seconds, which a refusal should not
-    from see2act.prediction.predict import predict
-    from see2act.prediction.view import ImageError
-    from see2act.trained import ModelFileError, load
+    return parser
 
-    try:
-        model = load(args.checkpoint, args.primitive)
-        bounds = tuple(args.bounds) if args.bounds else None
-        found = predict(**inputs, checkpoint=model, bounds=bounds, floor=args.floor, count=args.count, apart=args.apart)
-    except (ImageError, ModelFileError) as error:
-        sys.exit(f"see2act: {error}")
-    coded = cv2.imencode(".png", cv2.cvtColor(picture(inputs["color"], found), cv2.COLOR_RGB2BGR))[1]
+
+def _write(args: argparse.Namespace, found: Prediction, image: np.ndarray, config_hash: str) -> None:
+    coded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
     with replacing(args.out / "picks.png") as partial:
         partial.write_bytes(coded.tobytes())
     write_json(
         args.out / "picks.json",
         {
             "primitive": found.primitive,
-            "checkpoint": {"file": str(args.checkpoint), "config_hash": model.config_hash},
+            "checkpoint": {"file": str(args.checkpoint), "config_hash": config_hash},
             "units": "metres, radians, pixels from 0; the image's column u and row v",
             "world": "the given pose's" if args.pose else "z up from the dominant plane, x to the image's right",
             "camera_to_world": found.pose.tolist(),
@@ -71,6 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "picks": [dataclasses.asdict(pick) for pick in found.picks],
         },
     )
+
+
+def _tell(args: argparse.Namespace, found: Prediction) -> None:
     for number, pick in enumerate(found.picks, start=1):
         x, y, z = pick.position
         turn = "" if pick.angle is None else f", jaws along {np.degrees(pick.angle):.0f} degrees"
