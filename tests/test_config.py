@@ -62,7 +62,7 @@ def test_off_the_shelf_weights_fit_one_network(
 
 
 def test_design_numbers_are_the_defaults(config: Callable) -> None:
-    for primitive, attempts, angles, at in (("suction", 60, 1, [0, 60, 150, 300]), ("grasp", 150, 16, [0, 150, 350, 400])):
+    for primitive, attempts, angles, at in (("suction", 150, 1, [0, 60, 150, 300]), ("grasp", 150, 16, [0, 150, 350, 400])):
         cfg = config(f"primitive={primitive}")
         assert (cfg.finetune.attempts, cfg.primitive.angles, list(cfg.evaluate.at)) == (attempts, angles, at)
         assert (cfg.collect.interactions, cfg.evaluate.attempts) == (300, {"seen": 25, "unseen": 15})
