@@ -329,7 +329,7 @@ COUNTS = (
     *(f"collect.{key}" for key in ("interactions", "per_scene", "workers")),
     *(f"pretrain.{key}" for key in ("epochs", "batch_size", "test_scenes")),
     *(f"finetune.{key}" for key in ("updates", "batch_size", "episode_attempts")),
-    *("evaluate.runs", "primitive.angles", "model.width", "figures.scenes"),
+    *("evaluate.runs", "primitive.angles", "figures.scenes"),
 )
 """Keys that must be at least 1."""
 NOT_NEGATIVE = (
@@ -367,7 +367,9 @@ def _check_words(cfg: DictConfig) -> None:
 
 def _check_numbers(cfg: DictConfig) -> None:
     for key in COUNTS:
-        _at_least(key, OmegaConf.select(cfg, key, default=1), 1)  # not every model has a width
+        _at_least(key, OmegaConf.select(cfg, key), 1)
+    if "width" in cfg.model:
+        _at_least("model.width", cfg.model.width, 1)
     for key in NOT_NEGATIVE:
         _at_least(key, OmegaConf.select(cfg, key), 0)
     for split in ("seen", "unseen"):
