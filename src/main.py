@@ -216,9 +216,17 @@ def refuse_foreign(folder: Path, cfg: DictConfig) -> None:
 
 
 def _begun(folder: Path) -> dict[str, Any]:
-    note = folder / "run.json"
-    known: dict[str, Any] = read_json(note) if note.exists() else {}
-    return known
+    """What a folder says of its run; of one that a report kept without its ``run.json``, the result says the same."""
+    note, result = folder / "run.json", folder / "result.json"
+    if note.exists() or not result.exists():
+        known: dict[str, Any] = read_json(note) if note.exists() else {}
+        return known
+    finished = read_json(result)
+    return {
+        "config_hash": finished.get("config_hash"),
+        "seed": finished.get("choices", {}).get("seed"),
+        "versions": finished.get("versions"),
+    }
 
 
 def _begun_by_another_version(folder: Path) -> bool:

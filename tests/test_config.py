@@ -14,7 +14,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 from see2act.config import ConfigError, composed, config_hash, illegal_cell, validate
 from see2act.files import DamagedFile
-from see2act.main import _check, _check_sweep, _job, _move_aside, identity, refuse_foreign
+from see2act.main import _check, _check_sweep, _job, _move_aside, identity, refuse_foreign, run
 from see2act.results import versions
 from see2act.sweep import FAILED, OTHER, Summary, finished_elsewhere
 
@@ -227,6 +227,15 @@ def test_a_folder_of_another_run_is_refused(config: Callable, tmp_path: Path) ->
     (tmp_path / "result.json").write_text("{}")
     with pytest.raises(ConfigError, match="another configuration"):
         refuse_foreign(tmp_path, cfg)
+
+
+def test_a_run_that_a_report_kept_is_known_by_its_result(config: Callable, tmp_path: Path) -> None:
+    cfg = config("seed=1")
+    kept = {"config_hash": identity(cfg)["config_hash"], "choices": {"seed": 1}, "versions": versions()}
+    (tmp_path / "result.json").write_text(json.dumps(kept | {"eval": {"unseen": {"rate": 0.25}}}))
+    assert run(cfg, tmp_path) == 0.25
+    with pytest.raises(ConfigError, match="another configuration"):
+        refuse_foreign(tmp_path, config("seed=2"))
 
 
 def test_force_keeps_the_earlier_run(tmp_path: Path) -> None:
