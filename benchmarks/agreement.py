@@ -16,7 +16,7 @@ from see2act.evaluation import SPLITS, Protocol, evaluate
 from see2act.pipeline import Run
 from see2act.statistics import difference_interval
 
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, spread
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 from benchmarks.loop import SOURCES
 
 SETTINGS = {
@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--runs", type=at_least_one, default=15, metavar="N", help="test runs a split (default 15)")
     parser.add_argument("--primitives", nargs="+", choices=PRIMITIVES, default=PRIMITIVES)
     parser.add_argument("--settings", nargs="+", choices=list(SETTINGS)[1:], default=list(SETTINGS)[1:])
-    args = parser.parse_args()
+    args = parsed(parser)
     settings = [name for name in SETTINGS if name in args.settings or not SETTINGS[name]]
     jobs = [(args.overrides, primitive, setting, args.runs) for primitive in args.primitives for setting in settings]
     measure(args.overrides, jobs[0][1], jobs[0][2], 1)  # fills the cache before several want it

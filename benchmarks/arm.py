@@ -13,7 +13,7 @@ from see2act.robot.robot import LIFT, SimulatedRobot
 from see2act.robot.types import Pick
 from see2act.seeding import generator, seed_for
 
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, spread
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 
 ANGLES = 16
 TARGETS = {"position": 0.0005, "rotation": 0.2, "limit": 0.2, "penetration": 0.002}
@@ -135,7 +135,7 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--stride", type=at_least_one, default=4, metavar="N", help="pixels between poses (default 4)")
     parser.add_argument("--picks", type=at_least_one, default=300, metavar="N", help="a primitive (default 300)")
-    args = parser.parse_args()
+    args = parsed(parser)
     parts = list(spread(reach, [(args.overrides, p, args.stride) for p in PRIMITIVES], args.workers, "reach"))
     parts += spread(walls, [(args.overrides, p, args.picks) for p in PRIMITIVES], args.workers, "walls")
     finish("The arm", [row for part in parts for row in part], args.json)

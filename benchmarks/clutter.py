@@ -15,7 +15,7 @@ from see2act.robot.simulation import TIMESTEP
 from see2act.robot.types import Split
 from see2act.seeding import seed_for
 
-from benchmarks.common import arguments, at_least_one, finish, spread
+from benchmarks.common import arguments, at_least_one, finish, parsed, spread
 
 TARGETS = {
     "coverage": (0.15, 0.45),
@@ -75,7 +75,7 @@ def main() -> None:
     """The command."""
     parser = arguments(__doc__)
     parser.add_argument("--resets", type=at_least_one, default=500, metavar="N", help="half of them a split (default 500)")
-    args = parser.parse_args()
+    args = parsed(parser)
     share = args.resets // 2
     jobs = [(args.overrides, split, i, min(25, share - i)) for split in SPLITS for i in range(0, share, 25)]
     scenes = [row for part in spread(measure, jobs, args.workers, "clutter") for row in part]

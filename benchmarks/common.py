@@ -14,6 +14,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from see2act.config import ConfigError, composed, validate
 from see2act.files import write_json
 from tqdm import tqdm
 
@@ -29,6 +30,16 @@ def arguments(description: str | None, workers: bool = True) -> argparse.Argumen
         parser.add_argument("--workers", type=at_least_one, default=2, metavar="N", help="processes (default 2)")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration, as for train.py")
     return parser
+
+
+def parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """What was typed, overrides checked: ends the program with one line where one of them does not exist."""
+    args = parser.parse_args()
+    try:
+        validate(composed(args.overrides))
+    except ConfigError as error:
+        parser.error(str(error))
+    return args
 
 
 def at_least_one(text: str) -> int:
@@ -107,7 +118,7 @@ def timed(description: str | None, title: str, rows: Callable[[list[str], int], 
     parser.add_argument(
         "--repeats", type=at_least_one, default=9, metavar="N", help="of what is fast; fewer of the rest (default 9)"
     )
-    args = parser.parse_args()
+    args = parsed(parser)
     table = []
     for row in rows(args.overrides, args.repeats):
         table.append(row)

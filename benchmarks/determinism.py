@@ -19,7 +19,7 @@ from see2act import build
 from see2act.config import composed
 from see2act.seeding import generator, seed_for
 
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed
 
 PICKS = 5
 """In each scene, on random pixels of objects."""
@@ -83,7 +83,7 @@ def main() -> None:
     """The command."""
     parser = arguments(__doc__)
     parser.add_argument("--scenes", type=at_least_one, default=20, metavar="N", help="of five picks each (default 20)")
-    args = parser.parse_args()
+    args = parsed(parser)
     rows = [compare(args.overrides, primitive, args.scenes) for primitive in PRIMITIVES]
     finish("The same picks in two processes, one of them on busy cores", rows, args.json)
 

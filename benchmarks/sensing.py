@@ -20,7 +20,7 @@ from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Pick
 from see2act.seeding import generator, seed_for
 
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, spread
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 
 KINDS = ("best", "random", "tilted", "edge", "knocked", "heavy")
 PER_SCENE = 10
@@ -114,7 +114,7 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--attempts", type=at_least_one, default=90, metavar="N", help="of each kind (default 90)")
     parser.add_argument("--primitives", nargs="+", choices=PRIMITIVES, default=PRIMITIVES)
-    args = parser.parse_args()
+    args = parsed(parser)
     jobs = [(args.overrides, primitive, kind, 0, args.attempts) for primitive in args.primitives for kind in KINDS]
     rows = list(spread(measure, jobs, args.workers, "sensing"))
     for primitive in args.primitives:

@@ -27,7 +27,7 @@ from see2act.robot.types import Split
 from see2act.seeding import generator
 from see2act.statistics import wilson
 
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, show, spread
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, parsed, show, spread
 
 TARGETS = {("oracle", "suction"): 0.95, ("oracle", "grasp"): 0.92, ("random", "suction"): 0.15, ("random", "grasp"): 0.20}
 """The oracle at least, a random pixel at most."""
@@ -104,7 +104,7 @@ def main() -> None:
     parser.add_argument("--scenes", choices=("evaluate", "develop"), default="evaluate")
     parser.add_argument("--policies", nargs="+", choices=(*SCRIPTED, TRAINED), default=SCRIPTED)
     parser.add_argument("--primitives", nargs="+", choices=(*PRIMITIVES, "grasp_rg2"), default=PRIMITIVES)
-    args = parser.parse_args()
+    args = parsed(parser)
     jobs = [
         (args.overrides, primitive, split, policy, args.scenes, args.attempts)
         for policy in args.policies
@@ -114,8 +114,9 @@ def main() -> None:
     rows = list(spread(measure, jobs, args.workers, "validity"))
     for row in rows:
         target = TARGETS.get((row["policy"], row["primitive"]))
-        better = row["rate"] >= target if row["policy"] == "oracle" else target is None or row["rate"] <= target
-        row["target"], row["met"] = target, better if target else None
+        row["target"], row["met"] = target, None
+        if target is not None:
+            row["met"] = row["rate"] >= target if row["policy"] == "oracle" else row["rate"] <= target
     show("Policies", [{k: v for k, v in row.items() if k != "objects"} for row in rows])
     by_object = [
         {

@@ -51,6 +51,7 @@ def check_parts(cfg: DictConfig) -> None:
             check_arguments(cfg[group], group)
         robot_factory(cfg, cfg.primitive)().close()
         policy(cfg)
+        instantiate(cfg.model.network)
     except (RobotError, HydraException, OmegaConfBaseException) as error:
         cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
         raise ConfigError(one_line(cause)) from None

@@ -333,7 +333,7 @@ COUNTS = (
 )
 """Keys that must be at least 1."""
 NOT_NEGATIVE = (
-    "pretrain.lr",
+    *("pretrain.lr", "pretrain.weight_decay"),
     *(f"finetune.{key}" for key in ("attempts", "backbone_lr", "head_lr", "weight_decay", "temperature")),
     *(f"finetune.replay.{key}" for key in ("alpha", "beta", "floor", "turn", "shift", "tint")),
 )
@@ -368,8 +368,9 @@ def _check_words(cfg: DictConfig) -> None:
 def _check_numbers(cfg: DictConfig) -> None:
     for key in COUNTS:
         _at_least(key, OmegaConf.select(cfg, key), 1)
-    if "width" in cfg.model:
-        _at_least("model.width", cfg.model.width, 1)
+    for key in ("model.width", "model.anchors", "objects.kinds", "objects.copies", "camera.width", "camera.height"):
+        if (value := OmegaConf.select(cfg, key)) is not None:
+            _at_least(key, value, 1)
     for key in NOT_NEGATIVE:
         _at_least(key, OmegaConf.select(cfg, key), 0)
     for split in ("seen", "unseen"):
@@ -378,7 +379,7 @@ def _check_numbers(cfg: DictConfig) -> None:
         _at_least("evaluate.at", step, 0)
     if not 0 <= cfg.finetune.averaging < 1:
         raise ConfigError(f"finetune.averaging={cfg.finetune.averaging} must be at least 0 and below 1: 0 does not average")
-    if cfg.finetune.logit_scale <= 0:
+    if not 0 < cfg.finetune.logit_scale < math.inf:
         raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
 
 
@@ -413,5 +414,7 @@ def _choice(key: str, value: str, allowed: tuple[str, ...]) -> None:
 
 
 def _at_least(key: str, value: float, least: float) -> None:
+    if not math.isfinite(value):
+        raise ConfigError(f"{key}={value} is no number: it must be at least {least}")
     if value < least:
         raise ConfigError(f"{key}={value} is too small: it must be at least {least}")

@@ -76,7 +76,8 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """
         if self._seen is None:
             raise gymnasium.error.ResetNeeded("call reset() before the first step()")
-        if not self.action_space.contains(np.asarray(action, np.int64)):
+        asked = np.asarray(action)
+        if asked.dtype.kind not in "iu" or not self.action_space.contains(asked.astype(np.int64)):
             raise ValueError(f"action {action} is not [angle, row, col] in {self.action_space}")
         angle, row, col = (int(i) for i in action)
         pick = self._robot.workspace.pick(self._seen.heightmap, row, col, angle * math.pi / self._angles)

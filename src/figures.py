@@ -95,10 +95,11 @@ def diagnosis(attempts: Path, path: Path, title: str) -> None:
     where.set(xlabel="attempts", ylim=(-0.02, 1.02), title=f"blocks of {BLOCK} attempts")
     calibration.plot([0, 1], [0, 1], ":", color="gray")
     last = max(int(row["step"]) for row in rows)
+    tested = [row for row in rows if row["policy"] == rows[0]["policy"]]  # the plain argmax is tested beside it
     phases = {
-        "zero-shot": [row for row in rows if row["phase"] == "zero_shot"],
+        "zero-shot": [row for row in tested if row["phase"] == "zero_shot"],
         "while learning": learning,
-        f"after {last}": [row for row in rows if row["phase"] == "eval" and int(row["step"]) == last],
+        f"after {last}": [row for row in tested if row["phase"] == "eval" and int(row["step"]) == last],
     }
     for name, group in phases.items():
         points = _reliability(group)

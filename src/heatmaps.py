@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from omegaconf import OmegaConf
 from see2act.config import ConfigError, composed, validate
 
 TASKS = ("none", "imagenet", "edge", "corner", "center", "foreground", "normal", "coco")
@@ -51,8 +52,9 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
 
     models, missing = {}, {}
     last = run / "checkpoints" / "affordance.ckpt" if run else None
-    if last and not last.is_file():
+    if run and last and not last.is_file():
         raise ConfigError(f"{last} is not there: --run takes the folder of a finished run")
+    overrides = [*(_of_run(run, overrides) if run else ()), *overrides]
     with TemporaryDirectory() as scratch:
         for task in tasks:
             cfg = composed([*overrides, f"task={task}", f"transfer={TRANSFERS.get(task, 'full')}"])
@@ -83,3 +85,20 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
     finally:
         robot.close()
     return missing
+
+
+def _of_run(run: Path, typed: Sequence[str]) -> list[str]:
+    """What a run was typed with, but for its task and whatever is typed anew: its tool, its objects, its observations.
+
+    Raises:
+        ConfigError: The run does not say.
+    """
+    path = run / ".hydra" / "overrides.yaml"
+    if not path.is_file():
+        raise ConfigError(f"{path} is not there: --run takes the folder of a finished run")
+    anew = {_key(override) for override in typed} | {"transfer", "force"}
+    return [o for o in map(str, OmegaConf.load(path)) if _key(o) not in anew and _key(o).split(".")[0] != "task"]
+
+
+def _key(override: str) -> str:
+    return override.split("=")[0].lstrip("+~")

@@ -8,6 +8,8 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +63,12 @@ FLAGS = (
     "--resolve",
     "--package",
     "-p",
+    "--config-dir",
+    "-cd",
+    "--config-name",
+    "-cn",
+    "--config-path",
+    "-cp",
 )
 """With these Hydra does something other than one run and does its own checking."""
 
@@ -244,22 +252,35 @@ def run(cfg: DictConfig, folder: Path) -> float:
         ConfigError: The folder holds another run, another process works in it, or given weights do not fit.
     """
     refuse_foreign(folder, cfg)
-    lock = FileLock(folder / ".lock")
+    if cfg.force:
+        with _alone(folder):
+            _set_aside(folder)
+    with _alone(folder):  # a lock of the folder's own: one that was set aside has taken its lock along
+        return _run_alone(cfg, folder)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
     try:
-        with lock.acquire(timeout=0):
-            return _run_alone(cfg, folder)
+        with FileLock(folder / ".lock").acquire(timeout=0):
+            yield
     except Timeout:
         raise ConfigError(f"another process is at work in {folder}: wait for it to end") from None
 
 
+def _set_aside(folder: Path) -> None:
+    """Move a finished run away, and half a run of another version."""
+    result = folder / "result.json"
+    if not result.exists() and not _begun_by_another_version(folder):
+        return
+    last = (result if result.exists() else folder / "run.json").stat().st_mtime
+    aside = folder.with_name(f"{folder.name}.{time.strftime('%Y%m%d-%H%M%S', time.gmtime(last))}")
+    _move_aside(folder, aside)
+    log.info("force=true: the earlier run is now in %s", aside)
+
+
 def _run_alone(cfg: DictConfig, folder: Path) -> float:
     result = folder / "result.json"
-    begun = _begun(folder)
-    if cfg.force and (result.exists() or begun.get("versions", versions()) != versions()):
-        last = (result if result.exists() else folder / "run.json").stat().st_mtime
-        aside = folder.with_name(f"{folder.name}.{time.strftime('%Y%m%d-%H%M%S', time.gmtime(last))}")
-        _move_aside(folder, aside)
-        log.info("force=true: the earlier run is now in %s", aside)
     if result.exists():
         by = "" if of_this_version(result) else " by another version of the code"
         log.info("this run is finished already%s; force=true runs it anew: %s", by, result)

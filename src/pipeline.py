@@ -31,12 +31,12 @@ from see2act.modules import weights
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms, estimate
 from see2act.modules.network import PixelNetwork
+from see2act.modules.precision import average_precision
 from see2act.modules.transfer import TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, commit, curve, packages, versions
 from see2act.seeding import generator, seed_for
-from see2act.statistics import average_precision
 from torch import Tensor
 
 log = logging.getLogger("see2act")
@@ -206,7 +206,10 @@ class Run:
         return checkpoint
 
     def _given(self, mean: Tensor, std: Tensor) -> dict[str, Tensor]:
-        """State of a vision model from elsewhere; the height's statistics (``mean``, ``std``: (4,)) are always ours."""
+        """State of a vision model from elsewhere.
+
+        What torchvision's lack, statistics of the height, is taken from ours (``mean``, ``std``: (4,)).
+        """
         task = self.cfg.task
         if not task.off_the_shelf:
             return weights.read(Path(task.weights))
@@ -393,10 +396,12 @@ class Run:
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
         start = time.perf_counter()
-        yield
-        seconds = self.progress.get("seconds") or {}
-        seconds[stage] = round(seconds.get(stage, 0.0) + time.perf_counter() - start, 1)
-        self.progress.set("seconds", seconds)
+        try:
+            yield
+        finally:  # Ctrl-C too: what a run took before it was cut counts
+            seconds = self.progress.get("seconds") or {}
+            seconds[stage] = round(seconds.get(stage, 0.0) + time.perf_counter() - start, 1)
+            self.progress.set("seconds", seconds)
 
     def _finish(self) -> dict[str, Any]:
         cfg, done = self.cfg, self.progress.done

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def finished_elsewhere(folder: Path, sweep: Path) -> Path | None:
     if any((folder / name).exists() for name in ("run.json", "result.json")):
         return None
     others = sorted(sweep.parent.glob(f"*/{folder.absolute().relative_to(sweep)}/result.json"))
-    return next((result.parent for result in others if not result.is_symlink() and _usable(result)), None)
+    return next((result.parent for result in others if _usable(result)), None)
 
 
 def _usable(result: Path) -> bool:
@@ -91,11 +92,26 @@ def _usable(result: Path) -> bool:
 
 
 def link(twin: Path, folder: Path) -> None:
-    """Make everything a finished run left appear in ``folder`` too."""
+    """Make everything a finished run left appear in ``folder`` too.
+
+    By hard links, which take no room and last when the other run is moved aside or deleted.
+    """
     for path in sorted(twin.iterdir(), key=lambda path: path.name == "result.json"):  # which means done, so it comes last
-        if not path.name.startswith(".") and path.name not in TOLD and not (folder / path.name).exists():
-            (folder / path.name).symlink_to(os.path.relpath(path, folder))
+        there = folder / path.name
+        if path.name.startswith(".") or path.name in TOLD or there.exists():
+            continue
+        if path.is_dir():
+            shutil.copytree(path, there, copy_function=_share)
+        else:
+            _share(path, there)
     log.info("the same run is finished in %s: linked, not run again", twin)
+
+
+def _share(path: str | Path, there: str | Path) -> None:
+    try:
+        os.link(path, there)
+    except OSError:  # a file system without hard links
+        shutil.copy2(path, there)
 
 
 def of_this_version(result: Path) -> bool:

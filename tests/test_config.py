@@ -14,7 +14,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 from see2act.config import ConfigError, composed, config_hash, illegal_cell, validate
 from see2act.files import DamagedFile
-from see2act.main import _check, _check_sweep, _job, _move_aside, identity, refuse_foreign, run
+from see2act.main import _alone, _check, _check_sweep, _job, _move_aside, _set_aside, identity, refuse_foreign, run
 from see2act.results import versions
 from see2act.sweep import FAILED, OTHER, Summary, finished_elsewhere
 
@@ -100,6 +100,10 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("transfer=none", ["task=none"]),
         ("labels=guess", ["labels=guess", "truth, vision"]),
         ("finetune.batchnorm=off", ["frozen, batch"]),
+        ("finetune.temperature=nan", ["finetune.temperature=nan", "at least 0"]),
+        ("finetune.logit_scale=nan", ["finetune.logit_scale=nan", "above 0"]),
+        ("pretrain.weight_decay=-1", ["pretrain.weight_decay=-1", "at least 0"]),
+        ("objects.kinds=0", ["objects.kinds=0", "at least 1"]),
         ("collect.interactions=5", ["collect.interactions=5", "batch_size"]),
         ("objects.scale=[1.0,4.0]", ["does not fit the gripper"]),
         ("workspace.pixel=0", ["must be positive"]),
@@ -128,6 +132,12 @@ def test_refusals_name_the_mend_in_one_line(
     for word in words:
         assert word in text, text
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("override", ["model.backbone=resnet7", "model.depth=late", "model.anchors=0"])
+def test_a_network_that_cannot_be_is_refused_before_work(override: str) -> None:
+    with pytest.raises(ConfigError, match=override.replace(".", r"\.")):
+        _check(["task=coco", "model=rpn_r50_fpn", override])
 
 
 @pytest.mark.parametrize(
@@ -236,6 +246,18 @@ def test_a_run_that_a_report_kept_is_known_by_its_result(config: Callable, tmp_p
     assert run(cfg, tmp_path) == 0.25
     with pytest.raises(ConfigError, match="another configuration"):
         refuse_foreign(tmp_path, config("seed=2"))
+
+
+def test_a_run_that_is_made_anew_has_the_folder_to_itself(config: Callable, tmp_path: Path) -> None:
+    folder = tmp_path / "seed1"
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / "result.json").write_text("{}")
+    with _alone(folder):
+        _set_aside(folder)
+    with _alone(folder):
+        assert not (folder / "result.json").exists()
+        with pytest.raises(ConfigError, match="another process is at work"), _alone(folder):
+            pass
 
 
 def test_force_keeps_the_earlier_run(tmp_path: Path) -> None:

@@ -70,6 +70,8 @@ def test_what_an_agent_does_to_an_observation_stays_its_own() -> None:
     observation["height"] -= 1
     with pytest.raises(ValueError, match="is not"):
         env.step(np.array([5, 3, 3]))
+    with pytest.raises(ValueError, match="is not"):
+        env.step(np.array([0.0, 10.6, 20.2]))
     np.testing.assert_array_equal(env._seen.heightmap.height, before)
     env.close()
     with pytest.raises(ValueError, match="render_mode=banana"):

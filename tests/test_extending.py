@@ -42,6 +42,11 @@ def test_objects_of_one_s_own(tmp_path: Path) -> None:
     assert result["choices"]["objects"] == "cans"
 
 
+def test_an_experiment_of_one_s_own() -> None:
+    cfg = composed([f"hydra.searchpath=[file://{EXAMPLES}/conf]", "experiment=mine", "task=normal"])
+    assert (cfg.name, cfg.collect.interactions, cfg.finetune.attempts) == ("mine", 1000, 150)
+
+
 def test_every_example_is_shown() -> None:
     text = (HERE / "docs" / "extending.md").read_text()
     for path in [*EXAMPLES.glob("*.py"), *EXAMPLES.rglob("*.yaml")]:

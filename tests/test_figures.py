@@ -28,6 +28,19 @@ def test_repeats_are_within_an_episode_and_after() -> None:
     assert [figures._near_earlier(row, rows) for row in rows] == [False, True, False]
 
 
+def test_calibration_is_that_of_one_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (tmp_path / "attempts.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="0")
+        writer.writeheader()
+        for phase, step, policy in (("zero_shot", 0, "suppress"), ("eval", 5, "suppress"), ("eval", 5, "argmax")):
+            writer.writerows(_row(step, 0.5, 1, phase=phase, policy=policy) for _ in range(7))
+        writer.writerows(_row(i + 1, 0.5, 0, policy="suppress") for i in range(5))
+    counted: list[int] = []
+    monkeypatch.setattr(figures, "_reliability", lambda rows: counted.append(len(rows)) or [])
+    figures.diagnosis(tmp_path / "attempts.csv", tmp_path / "diagnosis.png", "a run")
+    assert counted == [7, 5, 7]
+
+
 @pytest.mark.parametrize("learned", [0, 45])
 def test_learning_is_diagnosed_also_where_all_attempts_end_alike(tmp_path: Path, learned: int) -> None:
     with (tmp_path / "attempts.csv").open("w", newline="") as file:

@@ -10,10 +10,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from see2act.pipeline import Run
 from torchvision.models.detection import fasterrcnn_resnet50_fpn
 
 TRAIN = Path(__file__).parents[1] / "train.py"
@@ -180,6 +182,19 @@ def test_kill_ends_a_run_promptly_while_it_is_evaluated_too(tmp_path: Path, cach
         process.kill()
 
 
+def test_time_before_an_interruption_counts(config: Callable, tmp_path: Path) -> None:
+    job = Run(config(), tmp_path)
+
+    def cut_short() -> None:
+        with job._timed("finetune"):
+            time.sleep(0.2)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cut_short()
+    assert job.progress.get("seconds")["finetune"] >= 0.2
+
+
 def test_a_vision_model_of_another_width_is_refused_before_any_work(run: tuple[Path, str], tmp_path: Path) -> None:
     weights = run[0] / "checkpoints" / "vision.ckpt"
     foreign = tmp_path / "foreign.ckpt"
@@ -297,12 +312,12 @@ def test_a_sweep_skips_cells_that_make_no_sense_and_links_runs(tmp_path: Path, c
     assert done.returncode == 0, done.stderr[-3000:]
     assert "were skipped" not in done.stdout
     linked = list(tmp_path.glob("other/**/result.json"))
-    assert [path.is_symlink() for path in linked] == [True]
+    (original,) = tmp_path.glob("sweep/**/normal-fixed/**/result.json")
+    assert [path.samefile(original) for path in linked] == [True]
     assert json.loads(linked[0].read_text())["choices"]["task"] == "normal"
     assert (linked[0].parent / "figures" / "heatmaps.png").exists()
 
     # Of another version of the code it is named, and neither linked nor run again.
-    original = linked[0].resolve()
     result = json.loads(original.read_text())
     result["versions"]["code"] = "of yesterday"
     original.write_text(json.dumps(result))

@@ -106,7 +106,7 @@ def _scene(robot: Robot, seed: int, scene: int, interactions: int, most_objects:
         observation, truth = robot.observe(), robot.truth()
         sensed, clean = observation.heightmap, truth.heightmap
         records.append(
-            (sensed.color, sensed.height, sensed.valid, clean.color, clean.height, clean.valid, truth.body.astype(np.int8))
+            (sensed.color, sensed.height, sensed.valid, clean.color, clean.height, clean.valid, truth.body.astype(np.int32))
         )
         angle = rng.integers(16) * np.pi / 16
         robot.execute(robot.workspace.pick(sensed, int(rng.integers(rows)), int(rng.integers(cols)), float(angle)))

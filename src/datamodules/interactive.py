@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
-import numpy as np
 from see2act.attempt import Affordances, Attempt, attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.datamodules.replay import Replay
@@ -18,6 +17,9 @@ from see2act.robot.robot import Robot
 from see2act.seeding import generator, seed_for
 from torch import Tensor
 from tqdm import tqdm
+
+RECENT = 20
+"""Attempts over which the log's success rate is taken."""
 
 
 class InteractiveDataModule(L.LightningDataModule):
@@ -148,7 +150,6 @@ class TrialAndError(L.Callback):
         self._data, self._attempts, self._log = data, attempts, log
         self._checkpoint, self._evaluate_at, self._evaluate = checkpoint, evaluate_at, evaluate
         self._primitive = primitive
-        self._recent: list[bool] = []
 
     def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         self._bar = tqdm(total=self._attempts, initial=self._data.attempts, desc="fine-tune", disable=None)
@@ -177,15 +178,15 @@ class TrialAndError(L.Callback):
             scene_seed=self._data.scene_seed,
             primitive=self._primitive,
         )
-        self._recent.append(result.outcome.success)
+        recent = self._data.replay.success(RECENT)
         measured = {
-            "success": float(np.mean(self._recent[-20:])),
+            "success": recent,
             "score": result.choice.score,
             "entropy": result.choice.entropy,
         }
         module.log_dict({f"affordance/{name}": value for name, value in measured.items()})
         module.log_dict({f"replay/{name}": value for name, value in self._data.replay.last_draw().items()})
-        self._bar.set_postfix(success=f"{np.mean(self._recent[-20:]):.2f}", refresh=False)
+        self._bar.set_postfix(success=f"{recent:.2f}", refresh=False)
         self._bar.update()
         if step in self._evaluate_at:
             self._evaluate(step)

@@ -73,7 +73,11 @@ class Replay:
 
     def sample(self, size: int) -> dict[str, Tensor]:
         """A batch, the newest attempt always in it: color (B, H, W, 3) uint8, height (B, H, W) float32, angle, row,
-        col int64, label and weight float32, mirror (B, 2) bool, turn (B,), shift (B, 2) and tint (B, 3, 4) float32."""
+        col int64, label and weight float32, mirror (B, 2) bool, turn (B,), shift (B, 2) and tint (B, 3, 4) float32.
+
+        Raises:
+            ValueError: Priorities are not finite and positive, since the network has diverged.
+        """
         drawn = self._priorities.draw(size, self._rng)
         drawn[0] = len(self) - 1
         self._drawn = drawn
@@ -102,6 +106,10 @@ class Replay:
             "priority": float(self._priorities.values()[self._drawn].mean()),
             "successes": float(np.mean([self._items["label"][i] for i in self._drawn])),
         }
+
+    def success(self, last: int) -> float:
+        """Share of successes among the ``last`` attempts that were added, or among all if there are fewer."""
+        return float(np.mean(self._items["label"][-last:]))
 
     def state_dict(self) -> dict:
         """Tensors and plain containers only, so that a checkpoint loads with ``weights_only``."""

@@ -64,6 +64,9 @@ class PixelNetwork(nn.Module):
 
         Args:
             precision: ``fp32``, or ``bf16`` for bfloat16 in all but the logits; parameters stay in single precision.
+
+        Raises:
+            ValueError: There is no such precision.
         """
         if precision not in PRECISIONS:
             raise ValueError(f"precision={precision} is unknown: choose one of {', '.join(PRECISIONS)}")

@@ -29,12 +29,19 @@ class ResNetFPN(nn.Module):
     Args:
         name: A torchvision ResNet: resnet18, resnet34, resnet50, ...
         depth: ``early`` adds the depth at the first convolution, ``none`` leaves it out.
+
+    Raises:
+        ValueError: There is no such ``depth``, or torchvision has no ResNet of this name.
     """
 
     def __init__(self, name: str, depth: str):
         super().__init__()
         if depth not in DEPTHS:
             raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
+        if not name.startswith("resnet") or not hasattr(torchvision.models, name):
+            raise ValueError(
+                f"model.backbone={name} is unknown: choose one of torchvision's, resnet18, resnet34, resnet50, ..."
+            )
         body = getattr(torchvision.models, name)(weights=None, norm_layer=BatchNorm)
         stages = [body.inplanes // 8 * 2**i for i in range(4)]
         pyramid = BackboneWithFPN(body, {f"layer{i + 1}": str(i) for i in range(4)}, stages, FPN_CHANNELS)

@@ -71,5 +71,5 @@ class VisionModule(L.LightningModule):
         shift = (torch.rand(n, 2, generator=self._augment) - 0.5) * torch.tensor(shape) * 0.4
         grid = sampling_grid(angle, shape, shape, shift)
         mirrored = torch.rand(n, generator=self._augment) < 0.5
-        grid = torch.where(mirrored[:, None, None, None], grid.flip(2), grid)
+        grid = torch.where(mirrored[:, None, None, None], grid.flip(2), grid).to(x.device)
         return warp(x, grid), warp_nearest(label[:, None].float(), grid)

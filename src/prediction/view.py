@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from see2act.robot.heightmap import point_cloud
 from see2act.robot.workspace import Workspace
 from see2act.seeding import generator
@@ -38,30 +38,48 @@ class ImageError(ValueError):
 class View:
     """An image in a frame that has its origin on the floor, in the middle of the bounds."""
 
-    color: np.ndarray
-    depth: np.ndarray
-    points: np.ndarray
-    background: np.ndarray | None
+    color: UInt8[np.ndarray, "h w 3"]
+    depth: Float[np.ndarray, "h w"]
+    """Metres along the optical axis; 0 where there is no reading."""
+    points: Float[np.ndarray, "h w 3"]
+    """Metres in this frame, a point a pixel."""
+    background: Float[np.ndarray, "h w"] | None
     """Depth of the empty bin."""
-    background_points: np.ndarray
+    background_points: Float[np.ndarray, "h w 3"]
+    """Of the empty bin; the same as ``points`` without one."""
     workspace: Workspace
-    origin: np.ndarray
-    """Of the frame, in the world."""
-    pose: np.ndarray
+    origin: Float[np.ndarray, "3"]
+    """Of the frame, in the world, metres."""
+    pose: Float[np.ndarray, "4 4"]
     """Camera to world."""
 
 
 def look(
-    color: np.ndarray,
-    depth: np.ndarray,
-    background: np.ndarray | None,
-    intrinsics: np.ndarray,
-    pose: np.ndarray | None,
+    color: UInt8[np.ndarray, "h w 3"],
+    depth: Float[np.ndarray, "h w"],
+    background: Float[np.ndarray, "h w"] | None,
+    intrinsics: Float[np.ndarray, "3 3"],
+    pose: Float[np.ndarray, "4 4"] | None,
     bounds: tuple[float, float, float, float] | None,
     floor: float | None,
     pixel: float,
 ) -> View:
-    """Check everything, and find the floor."""
+    """Check everything, and find the floor.
+
+    Args:
+        color: RGB.
+        depth: Metres along the optical axis; 0 or not finite where there is no reading.
+        background: The same of the empty bin, by which the floor is found better.
+        intrinsics: Pinhole matrix in pixels, for pixels whose centres are at whole numbers.
+        pose: Camera to world, metres, z up; None finds the floor, which is the world's z = 0 then.
+        bounds: Smallest x, smallest y, largest x, largest y of the inside of the bin in the world, metres; None takes the
+            floor that is seen.
+        floor: The floor's z in the world, metres; None for 0, which is checked.
+        pixel: Metres a pixel of the heightmap.
+
+    Raises:
+        ImageError: Sizes, units, matrices or bounds make no sense, or no floor is seen.
+    """
     depth = _metres(depth, color, "depth")
     background = None if background is None else _metres(background, color, "background depth")
     _check_matrices(intrinsics, pose, color.shape)
@@ -170,6 +188,7 @@ def _check_matrices(intrinsics: np.ndarray, pose: np.ndarray | None, shape: tupl
         or not np.isfinite(k).all()
         or min(k[0, 0], k[1, 1]) <= 0
         or not (k[2] == (0, 0, 1)).all()
+        or k[0, 1]
         or k[1, 0]
     ):
         raise ImageError("the intrinsics must be a 3 x 3 pinhole matrix in pixels: fx 0 cx, 0 fy cy, 0 0 1")
@@ -216,5 +235,5 @@ def _workspace(size: tuple[float, float], pixel: float) -> Workspace:
             f"the bounds span {size[0]:.3g} x {size[1]:.3g} m, too much for {pixel * 1000:.3g} mm a pixel: check depth-scale, "
             "and give the bounds of the inside of the bin"
         )
-    width, length = (math.ceil(side / pixel) * pixel for side in size)
+    width, length = (math.ceil(side / pixel - 1e-6) * pixel for side in size)  # 0.4 - 0.1 is more than 0.3
     return Workspace("image", width, length, pixel)

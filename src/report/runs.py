@@ -131,10 +131,18 @@ def _places(folder: Path) -> Iterator[Path]:
 
 
 def _once(places: list[Path]) -> list[Path]:
-    """Without folders that only link to a run which is here too, as sweeps that share runs do."""
-    results = {place: (place / "result.json").resolve() for place in places}
-    own = {result for place, result in results.items() if result == place.resolve() / "result.json"}
-    return [place for place, result in results.items() if result == place.resolve() / "result.json" or result not in own]
+    """Of folders whose result is one and the same file, as in sweeps that share runs, the first."""
+    inodes: dict[tuple[int, int], Path] = {}
+    kept = []
+    for place in places:
+        result = place / "result.json"
+        if not result.is_file():
+            kept.append(place)
+            continue
+        status = result.stat()
+        if inodes.setdefault((status.st_dev, status.st_ino), place) == place:
+            kept.append(place)
+    return kept
 
 
 def _read(folder: Path, place: str, notices: list[str]) -> Run:

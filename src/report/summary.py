@@ -13,7 +13,7 @@ import yaml
 from see2act.files import replacing
 from see2act.report import paper
 from see2act.report.benches import ENOUGH, Arm, Bench, Found
-from see2act.report.runs import SPLITS
+from see2act.report.runs import SPLITS, Run
 from see2act.statistics import (
     improvement,
     improvement_interval,
@@ -53,8 +53,16 @@ Row = dict[str, str]
 
 
 def rates(arm: Arm, measure: str) -> list[float]:
-    """Success rate of each seed; empty where an arm has none."""
-    return [successes / attempts for successes, attempts in _counts(arm, measure) if attempts]
+    """Success rate of each seed, or of one where all seeds are one measurement; empty where an arm has none."""
+    return _rates(arm.runs[:1] if one_measurement(arm, measure) else arm.runs, measure)
+
+
+def one_measurement(arm: Arm, measure: str) -> bool:
+    """Whether an arm's seeds repeat each other: before it learns, nothing of a model whose head was copied is a seed's."""
+    untouched = measure.startswith("zero_shot") or (not arm.learned and measure != LEARNING)
+    if len(arm.runs) < 2 or not untouched or arm.transfer not in ("full", "fixed"):
+        return False
+    return len({tuple(run.scores(*MEASURES[measure])) for run in arm.runs}) == 1
 
 
 def rows(found: Found) -> list[Row]:
@@ -76,6 +84,8 @@ def progress(bench: Bench) -> list[Row]:
         for split in SPLITS:
             for step in sorted(set.intersection(*map(set, steps))):
                 counts = [(at[step][split]["successes"], at[step][split]["attempts"]) for at in steps]
+                if step == 0 and one_measurement(arm, f"zero_shot_{split}"):
+                    counts = counts[:1]
                 lines.append({**_identity(bench, arm), "step": str(step), "split": split, **_summed(counts)})
     return lines
 
@@ -94,13 +104,14 @@ def _row(bench: Bench, arm: Arm) -> Row:
     if arm.learned:
         row |= {f"{gain}_{part}": text for gain, pair in GAINS.items() for part, text in _gained(arm, *pair).items()}
     scores = scores_of(arm)
-    interval = interquartile_interval([scores]) if len(arm.runs) >= ENOUGH else (None, None)
+    interval = interquartile_interval([scores]) if len(scores) >= ENOUGH else (None, None)
     row |= dict(zip(IQM, map(_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))
     return row | {"note": "" if arm.learned else "never fine-tuned"}
 
 
 def _measured(arm: Arm, measure: str) -> Row:
-    return _summed(_counts(arm, measure)) if rates(arm, measure) else {}
+    runs = arm.runs[:1] if one_measurement(arm, measure) else arm.runs
+    return _summed([_counts(run, measure) for run in runs]) if _rates(runs, measure) else {}
 
 
 def _summed(counts: list[tuple[int, int]]) -> Row:
@@ -113,14 +124,18 @@ def _summed(counts: list[tuple[int, int]]) -> Row:
 
 
 def _gained(arm: Arm, after: str, before: str) -> Row:
-    each = [a - b for a, b in zip(rates(arm, after), rates(arm, before), strict=True)]
+    each = [a - b for a, b in zip(_rates(arm.runs, after), _rates(arm.runs, before), strict=True)]
     interval = t_interval(each) if len(each) >= ENOUGH else None
     numbers = (float(np.mean(each)), *(interval or (None, None)), min(each))
     return dict(zip(GAIN_PARTS, map(_text, numbers), strict=True))
 
 
-def _counts(arm: Arm, measure: str) -> list[tuple[int, int]]:
-    return [run.learning if measure == LEARNING else run.counts(*MEASURES[measure]) for run in arm.runs]
+def _rates(runs: Sequence[Run], measure: str) -> list[float]:
+    return [successes / attempts for successes, attempts in (_counts(run, measure) for run in runs) if attempts]
+
+
+def _counts(run: Run, measure: str) -> tuple[int, int]:
+    return run.learning if measure == LEARNING else run.counts(*MEASURES[measure])
 
 
 def _text(number: float | int | None) -> str:
@@ -153,7 +168,7 @@ def _missing(found: Found) -> list[Row]:
             reason = f"only unfinished runs ({begun})" if begun else "no runs"
             if file := paper.missing_weights(task):
                 reason += f"; weights not here: {file}"
-            number = paper.UNSEEN[primitive].get(task) if transfer in ("none", "full") else None
+            number = paper.UNSEEN[primitive].get(task) if model == "fcn7" and transfer in ("none", "full") else None
             cell = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
             missing.append({**cell, "paper_unseen": _rounded(number)})
     return missing
@@ -177,8 +192,9 @@ def _same(primitive: str, published: str) -> bool:
 
 
 def scores_of(arm: Arm, measure: str = "after_unseen") -> np.ndarray:
-    """Success rate (seed, test run)."""
-    return np.array([run.scores(*MEASURES[measure]) for run in arm.runs])
+    """Success rate (seed, test run); of one seed where all are one measurement."""
+    runs = arm.runs[:1] if one_measurement(arm, measure) else arm.runs
+    return np.array([run.scores(*MEASURES[measure]) for run in runs])
 
 
 @dataclass(frozen=True)
@@ -213,23 +229,34 @@ def comparisons(bench: Bench, measure: str) -> list[Comparison]:
             continue
         left, right = np.array(a), np.array(b)
         low, high = improvement_interval(left, right)
+        limits = mean_difference_interval(a, b)
         numbers: tuple[float | None, ...] = (None,) * 6
-        if min(len(a), len(b)) >= ENOUGH:
-            limits = mean_difference_interval(a, b) or (None, None)
+        if limits and min(len(a), len(b)) >= ENOUGH:
             numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
-        compared.append(Comparison(arm, other, measure, verdict(len(a), len(b), low, high), *map(_text, numbers)))
+        told = verdict(len(a), len(b), (low, high), limits or (-math.inf, math.inf))
+        compared.append(Comparison(arm, other, measure, told, *map(_text, numbers)))
     return compared
 
 
-def verdict(n: int, m: int, low: float, high: float) -> str:
-    """What ``n`` seeds against ``m`` allow to say, given the interval of the probability of improvement."""
+def verdict(n: int, m: int, improvement: tuple[float, float], difference: tuple[float, float]) -> str:
+    """What ``n`` seeds against ``m`` allow to say.
+
+    A bootstrap of few seeds is too sure, so Welch's interval has to agree with it.
+
+    Args:
+        n, m: Seeds.
+        improvement: Interval of the probability of improvement.
+        difference: Interval of the difference of the means.
+    """
     chance = 2 / math.comb(n + m, n)  # of the seeds of two equal arms to fall entirely apart, either way
     if min(n, m) < ENOUGH or chance > 0.05:
         odds = "always" if chance >= 1 else f"one time in {1 / chance:.2g}"
         return f"too few seeds to conclude ({n} and {m}): equal arms would part entirely {odds}"
-    if low <= 0.5 <= high:
-        return "no difference shown: the interval holds one half"
-    return "better" if low > 0.5 else "worse"
+    if improvement[0] > 0.5 and difference[0] > 0:
+        return "better"
+    if improvement[1] < 0.5 and difference[1] < 0:
+        return "worse"
+    return "no difference shown: an interval holds that of equal arms"
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,9 @@ class Arm:
         config: Where it stands and how fast it goes.
         tool_urdf: Arm and end effector.
         jumps: Free motion takes no physics; its time is counted all the same.
+
+    Raises:
+        RobotError: Home is out of reach.
     """
 
     def __init__(self, simulation: Simulation, config: ArmConfig, tool_urdf: str, jumps: bool):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pybullet_data
 import trimesh
-from see2act.robot.objects import GRIPPER_OPENING, ObjectSet, Shape, centred
+from see2act.robot.objects import ObjectSet, Shape, centred
 from see2act.robot.solids import read_mesh
 from see2act.robot.types import RobotError
 
@@ -61,7 +61,14 @@ class MeshSet(ObjectSet):
 
 
 def random_urdfs(
-    name: str, held_out: int, width: float, kinds: int, copies: int, scale: Sequence[float], density: float
+    name: str,
+    held_out: int,
+    width: float,
+    kinds: int,
+    copies: int,
+    scale: Sequence[float],
+    density: float,
+    opening: float,
 ) -> MeshSet:
     """The thousand procedural objects that come with PyBullet, but for one that is empty, the last ones by name unseen.
 
@@ -69,7 +76,7 @@ def random_urdfs(
         name: The word people type.
         held_out: How many are unseen.
         width: Metres of the middle side of each at scale 1; the longest is brought to 15 cm if it would be longer.
-        kinds, copies, scale, density: As of :class:`ObjectSet`.
+        kinds, copies, scale, density, opening: As of :class:`ObjectSet`.
 
     Raises:
         RobotError: The largest would not fit the gripper.
@@ -77,7 +84,7 @@ def random_urdfs(
     root = Path(pybullet_data.getDataPath()) / "random_urdfs"
     files = {f"urdf{path.stem}": path for path in sorted(root.glob("*/*.obj")) if path.stem not in EMPTY}
     split = _split(files, held_out)
-    return MeshSet(name, *split, kinds, copies, (scale[0], scale[1]), density, files=files, width=width)
+    return MeshSet(name, *split, kinds, copies, (scale[0], scale[1]), density, opening, files=files, width=width)
 
 
 def folder(
@@ -90,6 +97,7 @@ def folder(
     copies: int,
     scale: Sequence[float],
     density: float,
+    opening: float,
 ) -> MeshSet:
     """All OBJ and STL files in a folder, the last ones by name unseen.
 
@@ -99,7 +107,7 @@ def folder(
         unit: Metres a unit of the files: 0.001 for millimetres.
         held_out: Share of them that is unseen.
         width: Metres of the middle side of each at scale 1; None leaves sizes as they are.
-        kinds, copies, scale, density: As of :class:`ObjectSet`.
+        kinds, copies, scale, density, opening: As of :class:`ObjectSet`.
 
     Raises:
         RobotError: The folder is none or has too few files, two have the same name, or an object has no volume or does not
@@ -113,9 +121,9 @@ def folder(
             "lower objects.kinds or change objects.held_out"
         )
     split = _split(files, unseen)
-    objects = MeshSet(name, *split, kinds, copies, (scale[0], scale[1]), density, files=files, unit=unit, width=width)
+    objects = MeshSet(name, *split, kinds, copies, (scale[0], scale[1]), density, opening, files=files, unit=unit, width=width)
     for key, file in files.items():
-        _check_size(objects.shape(key), file, scale[1])
+        _check_size(objects.shape(key), file, objects)
     return objects
 
 
@@ -187,7 +195,7 @@ def _sides(parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
     return np.sort(np.ptp(np.concatenate([part.vertices for part in parts]), axis=0))
 
 
-def _check_size(shape: Shape, file: Path, largest_scale: float) -> None:
+def _check_size(shape: Shape, file: Path, objects: MeshSet) -> None:
     sides = _sides(shape.parts)
     if sides[0] < SMALLEST or sides[2] > LARGEST * (1 + 1e-6):
         told = " x ".join(f"{side:.3g}" for side in sides)
@@ -195,9 +203,9 @@ def _check_size(shape: Shape, file: Path, largest_scale: float) -> None:
             f"{file} is {told} m, and sides must lie between {SMALLEST} and {LARGEST} m: give objects.unit, metres a unit of "
             "the file (0.001 for millimetres), or objects.width=0.05 to bring all to one size"
         )
-    across = sides[1] * largest_scale
-    if across > GRIPPER_OPENING:
+    across = sides[1] * objects.scale[1]
+    if across > objects.opening:
         raise RobotError(
-            f"{file} at scale {largest_scale} is {across * 1000:.0f} mm across and does not fit the gripper's "
-            f"{GRIPPER_OPENING * 1000:.0f} mm: lower objects.scale, or give objects.width=0.05"
+            f"{file} at scale {objects.scale[1]} is {across * 1000:.0f} mm across and does not fit the gripper's "
+            f"{objects.opening * 1000:.0f} mm: lower objects.scale, give objects.width=0.05, or objects.opening of your tool"
         )

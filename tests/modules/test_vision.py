@@ -24,6 +24,12 @@ def test_labels_turn_with_their_images() -> None:
     assert not torch.equal(label[0], label[1])
 
 
+def test_images_turn_on_the_device_that_they_are_on() -> None:
+    x, label = (t.to("meta") for t in (torch.zeros(2, 4, 32, 32), torch.zeros(2, 32, 32)))  # stands in for a GPU
+    turned, turned_label = _module()._turn(x, label)
+    assert turned.device == turned_label.device == x.device
+
+
 def test_augmentation_follows_its_seed() -> None:
     x, y = torch.randn(4, 4, 32, 32), torch.rand(4, 32, 32) > 0.5
     first, second, other = (_module(seed)._turn(x, y)[0] for seed in (1, 1, 2))

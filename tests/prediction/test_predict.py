@@ -21,7 +21,7 @@ from see2act.modules.affordance import AffordanceModule
 from see2act.modules.network import PixelNetwork
 from see2act.prediction.main import _read, main
 from see2act.prediction.picture import _direction_in_image
-from see2act.prediction.view import HALF, ImageError, floor_pose
+from see2act.prediction.view import HALF, ImageError, _workspace, floor_pose
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Observation
 from see2act.trained import ModelFileError, TrainedModel
@@ -206,6 +206,12 @@ def test_a_file_gives_back_what_learned(model_file: Callable[[str], Path], seen:
     assert OmegaConf.select(model.config, "paths") is None
 
 
+def test_bounds_of_whole_pixels_are_kept() -> None:
+    side = 0.4 - 0.1  # a little more than 0.3
+    assert _workspace((side, side), 0.0025).shape == (120, 120)
+    assert _workspace((0.301, 0.3), 0.0025).shape == (120, 121)
+
+
 def test_a_grasp_s_angle_is_that_of_its_best_map(model_file: Callable[[str], Path], image: dict, robot: SimulatedRobot) -> None:
     model = trained.load(model_file("grasp"))
     best = see2act.predict(**image, checkpoint=model, pose=robot.camera.pose, bounds=BOUNDS, count=1)
@@ -233,6 +239,7 @@ def test_a_grasp_s_angle_is_that_of_its_best_map(model_file: Callable[[str], Pat
         ({"background_depth": np.zeros((9, 9))}, "background depth have different sizes"),
         ({"bounds": (np.nan, 0, 0.1, 0.1)}, "not all numbers"),
         ({"intrinsics": "transposed"}, "pinhole matrix"),
+        ({"intrinsics": "skewed"}, "pinhole matrix"),
         ({"intrinsics": "of half the size"}, "the floor must be at 0|no level floor"),
         ({"intrinsics": "normalised"}, "pinhole|principal point"),
         ({"intrinsics": np.full((3, 3), np.nan)}, "pinhole matrix"),
@@ -257,6 +264,7 @@ def test_bad_input_names_the_mend(
         "background_depth": {"far": depth * 3},
         "intrinsics": {
             "transposed": intrinsics.T,
+            "skewed": intrinsics + [[0, 50, 0], [0, 0, 0], [0, 0, 0]],
             "of half the size": np.diag([0.5, 0.5, 1]) @ intrinsics,
             "normalised": np.diag([1 / 640, 1 / 360, 1]) @ intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]],
         },

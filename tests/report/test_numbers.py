@@ -12,25 +12,50 @@ from see2act.report import paper, runs
 from see2act.report.benches import SHOWN, find
 from see2act.report.plots import _blocks, _failures
 from see2act.report.runs import CONDITIONS
-from see2act.report.summary import aggregates, comparisons, verdict
+from see2act.report.summary import aggregates, comparisons, progress, rows, verdict
+from see2act.statistics import wilson
 
 MakeRun = Callable[..., Path]
 
 
 @pytest.mark.parametrize(
-    ("n", "m", "low", "high", "words"),
+    ("n", "m", "improvement", "difference", "words"),
     [
-        (2, 20, 1.0, 1.0, "too few seeds to conclude (2 and 20)"),
-        (3, 3, 1.0, 1.0, "equal arms would part entirely one time in 10"),
-        (1, 1, 1.0, 1.0, "equal arms would part entirely always"),
-        (4, 4, 0.6, 1.0, "better"),
-        (5, 5, 0.0, 0.4, "worse"),
-        (5, 5, 0.4, 1.0, "no difference shown"),
-        (5, 5, 0.5, 1.0, "no difference shown"),
+        (2, 20, (1.0, 1.0), (0.1, 0.3), "too few seeds to conclude (2 and 20)"),
+        (3, 3, (1.0, 1.0), (0.1, 0.3), "equal arms would part entirely one time in 10"),
+        (1, 1, (1.0, 1.0), (0.1, 0.3), "equal arms would part entirely always"),
+        (4, 4, (0.6, 1.0), (0.1, 0.3), "better"),
+        (5, 5, (0.0, 0.4), (-0.3, -0.1), "worse"),
+        (5, 5, (0.4, 1.0), (0.1, 0.3), "no difference shown"),
+        (5, 5, (0.5, 1.0), (0.1, 0.3), "no difference shown"),
+        (5, 5, (0.0, 0.24), (-0.216, 0.004), "no difference shown"),
+        (5, 5, (0.6, 1.0), (0.0, 0.3), "no difference shown"),
     ],
 )
-def test_nothing_is_concluded_from_too_little(n: int, m: int, low: float, high: float, words: str) -> None:
-    assert words in verdict(n, m, low, high)
+def test_nothing_is_concluded_from_too_little(
+    n: int, m: int, improvement: tuple[float, float], difference: tuple[float, float], words: str
+) -> None:
+    assert words in verdict(n, m, improvement, difference)
+
+
+def test_seeds_that_repeat_each_other_are_one_measurement(make_run: MakeRun, tmp_path: Path) -> None:
+    for seed in range(5):
+        make_run("normal-full", seed=seed, zero=[(3, 10), (4, 10)], unseen=[(seed, 10), (5, 10)])
+        make_run("normal-backbone", seed=seed, zero=[(3, 10), (4, 10)])
+        make_run("edge-fixed", seed=seed, learned=[], primitive__attempts=40)
+    by_cell = {(r["task"], r["transfer"]): r for r in rows(find(tmp_path)) if r["primitive"] == "suction"}
+    full = by_cell["normal", "full"]
+    assert (full["zero_shot_unseen_successes"], full["zero_shot_unseen_attempts"]) == ("7", "20")
+    assert (full["zero_shot_unseen_low"], full["after_unseen_attempts"]) == ("", "100")
+    assert full["zero_shot_unseen_wilson_low"] == f"{wilson(7, 20)[0]:.3f}"
+    assert full["gain_unseen_lowest"] == "-0.100"
+    assert by_cell["normal", "backbone"]["zero_shot_unseen_attempts"] == "100"  # its head is each seed's own
+    assert by_cell["edge", "fixed"]["after_unseen_attempts"] == "20"
+    (bench,) = find(tmp_path).benches
+    against = {c.arm.cell: c for c in comparisons(bench, "after_unseen")}
+    assert against["normal, backbone"].verdict
+    (point,) = (p for p in progress(bench) if (p["transfer"], p["step"], p["split"]) == ("full", "0", "unseen"))
+    assert point["attempts"] == "20"
 
 
 def test_arms_are_compared_with_the_baseline_and_within_their_source(make_run: MakeRun, tmp_path: Path) -> None:

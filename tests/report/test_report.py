@@ -6,6 +6,7 @@ import csv
 import gzip
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from see2act.report import plots
 from see2act.report.main import ReportError, main, report
 from see2act.report.page import command
 from see2act.statistics import wilson
+from see2act.sweep import link
 
 MakeRun = Callable[..., Path]
 VOID = {"meta", "link", "img", "br", "hr"}
@@ -99,7 +101,7 @@ def test_the_table_holds_what_one_computes_by_hand(make_run: MakeRun, runs: Path
     assert (row["after_unseen_successes"], row["after_unseen_attempts"]) == ("38", "53")
     assert [row["after_unseen_wilson_low"], row["after_unseen_wilson_high"]] == [f"{x:.3f}" for x in wilson(38, 53)]
     assert row["after_unseen_iqm"] == "0.700"  # of 0.6, 0.7, 0.75 and 0.75: 0.6 and 1 are cut
-    assert (row["zero_shot_seen_mean"], row["zero_shot_seen_low"]) == ("0.350", "0.350")
+    assert (row["zero_shot_seen_mean"], row["zero_shot_seen_low"]) == ("0.350", "")  # three times the same model
     assert (row["learning_mean"], row["learning_successes"], row["learning_attempts"]) == ("0.500", "60", "120")
     assert (row["argmax_seen_mean"], row["argmax_seen_attempts"]) == ("0.350", "60")
     assert (row["gain_unseen_mean"], row["gain_unseen_lowest"]) == ("0.383", "0.250")  # of 0.5, 0.25 and 0.4
@@ -208,14 +210,9 @@ def test_a_run_that_is_there_twice_counts_once(make_run: MakeRun, runs: Path) ->
 @pytest.mark.usefixtures("no_figures")
 def test_a_run_that_two_sweeps_share_counts_once_and_without_ado(make_run: MakeRun, runs: Path) -> None:
     folder = make_run(pictures=True)
-    link = runs / "another" / "seed0"
-    (link / ".hydra").mkdir(parents=True)
-    for path in folder.iterdir():
-        if path.name != ".hydra":
-            (link / path.name).symlink_to(path)
-        else:
-            for file in path.iterdir():
-                (link / ".hydra" / file.name).write_text(file.read_text())
+    other = runs / "another" / "seed0"
+    shutil.copytree(folder / ".hydra", other / ".hydra")
+    link(folder, other)
     assert not any("twice" in notice for notice in report(runs).notices)
     assert _row(runs, "normal", "full")["seeds"] == "0"
     assert [run.place for run in report(runs / "another").runs] == ["seed0"]
@@ -311,6 +308,16 @@ def test_the_paper_s_numbers_stand_beside_its_own_simulation_only(make_run: Make
     rows = {row["model"]: row for row in _table(runs) if (row["primitive"], row["task"]) == ("suction", "normal")}
     assert (rows["rpn_r50_fpn"]["paper_unseen"], rows["fcn7"]["paper_unseen"]) == ("", "1.00")
     assert rows["fcn7"]["note"] == "no runs"
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_missing_arm_of_another_network_has_no_number_of_the_paper(make_run: MakeRun, runs: Path) -> None:
+    make_run(model="rpn_r50_fpn", cells=["suction/normal/full", "suction/foreground/full"])
+    report(runs)
+    missing = next(
+        r for r in _table(runs) if (r["primitive"], r["task"], r["model"]) == ("suction", "foreground", "rpn_r50_fpn")
+    )
+    assert (missing["note"], missing["paper_unseen"]) == ("no runs", "")
 
 
 def test_figures_of_an_earlier_report_do_not_stay(make_run: MakeRun, runs: Path) -> None:

@@ -158,6 +158,13 @@ def test_what_cannot_be_used_is_refused(
     assert words in str(told.value.__cause__)
 
 
+def test_what_fits_another_tool_is_told(config: Callable[..., DictConfig], files: Path) -> None:
+    trimesh.creation.annulus(45, 60, 30).export(files / "ring.stl")
+    with pytest.raises(InstantiationException, match=r"objects\.opening"):
+        _folder(config, files, "objects.unit=0.001")
+    assert "ring" in _folder(config, files, "objects.unit=0.001", "objects.opening=0.15").files
+
+
 @pytest.mark.parametrize(
     ("name", "write", "words"),
     [

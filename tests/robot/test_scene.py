@@ -45,7 +45,7 @@ def test_truth_masks_lie_where_the_objects_are(robot: SimulatedRobot) -> None:
 
 def test_a_smaller_count_drops_fewer(robot: SimulatedRobot) -> None:
     robot.reset(3, "seen", 2)
-    assert robot.objects_left == 2
+    assert len(robot.scene.bodies) == 2
 
 
 @pytest.fixture
@@ -101,4 +101,4 @@ def test_an_object_that_leaves_the_bin_is_counted(robot: SimulatedRobot) -> None
     robot.simulation.client.resetBasePositionAndOrientation(gone, (0.5, 0.3, 0.05), (0, 0, 0, 1))
     outcome = robot.execute(robot.workspace.pick(robot.observe().heightmap, 10, 10, 0.0))
     assert outcome.lost == 1
-    assert robot.objects_left == 1
+    assert len(robot.scene.bodies) == 1
