@@ -368,8 +368,8 @@ def _check_words(cfg: DictConfig) -> None:
 def _check_numbers(cfg: DictConfig) -> None:
     for key in COUNTS:
         _at_least(key, OmegaConf.select(cfg, key), 1)
-    for key in ("model.width", "model.anchors", "objects.kinds", "objects.copies", "camera.width", "camera.height"):
-        if (value := OmegaConf.select(cfg, key)) is not None:
+    for key in ("model.width", "model.anchors"):
+        if isinstance(value := OmegaConf.select(cfg, key), int):  # if it is there; another type is refused with the others
             _at_least(key, value, 1)
     for key in NOT_NEGATIVE:
         _at_least(key, OmegaConf.select(cfg, key), 0)

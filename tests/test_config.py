@@ -104,6 +104,8 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("finetune.logit_scale=nan", ["finetune.logit_scale=nan", "above 0"]),
         ("pretrain.weight_decay=-1", ["pretrain.weight_decay=-1", "at least 0"]),
         ("objects.kinds=0", ["objects.kinds=0", "at least 1"]),
+        ("camera.height=0", ["camera.height=0", "at least 1 pixel"]),
+        ("model.width=abc", ["model.network.width=abc", "must be int"]),
         ("collect.interactions=5", ["collect.interactions=5", "batch_size"]),
         ("objects.scale=[1.0,4.0]", ["does not fit the gripper"]),
         ("workspace.pixel=0", ["must be positive"]),

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from see2act.robot.simulation import Simulation
+from see2act.robot.types import RobotError
 
 NEAR, FAR = 0.1, 3.0
 
@@ -80,6 +81,9 @@ class Camera:
         width, height: Pixels.
         focal: Pixels.
         noise: Errors of the depth.
+
+    Raises:
+        RobotError: There is no pixel, or the focal length is not above 0.
     """
 
     name: str
@@ -90,6 +94,13 @@ class Camera:
     height: int
     focal: float
     noise: DepthNoise
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height) < 1 or self.focal <= 0:
+            raise RobotError(
+                f"camera.width={self.width}, camera.height={self.height} and camera.focal={self.focal}: give at least 1 pixel "
+                "each, and a focal length above 0"
+            )
 
     @property
     def intrinsics(self) -> Float[np.ndarray, "3 3"]:

@@ -95,6 +95,8 @@ class ObjectSet:
     def __post_init__(self) -> None:
         if not 0 < self.scale[0] <= self.scale[1]:
             raise RobotError(f"objects.scale must be [low, high] with 0 < low <= high, got {list(self.scale)}")
+        if min(self.kinds, self.copies) < 1:
+            raise RobotError(f"objects.kinds={self.kinds} and objects.copies={self.copies} must be at least 1")
         for split in ("seen", "unseen"):
             names = getattr(self, split)
             if len(names) < self.kinds:
