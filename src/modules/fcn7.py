@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Float, Int
-from see2act.modules.network import Logits, PixelNetwork
+from see2act.modules.network import Logits, PixelNetwork, crop
 from torch import Tensor, nn
 
 
@@ -76,7 +76,7 @@ class FCN7(PixelNetwork):
             for layer, reach in self._reaches():
                 coarsest |= stride == self.stride
                 if coarsest and isinstance(layer, Residual):  # before, a crop would shift which pixels are pooled together
-                    x, row, col = _crop(x, row, col, stride, reach)
+                    x, row, col = crop(x, row, col, stride, reach)
                 x = layer(x)
                 stride = {nn.MaxPool2d: stride * 2, nn.Upsample: stride // 2}.get(type(layer), stride)
         return x[torch.arange(len(x)), 0, row, col].float()
@@ -96,14 +96,3 @@ class FCN7(PixelNetwork):
                     reach = (reach + 1) // 2 + 1
             reaches.append((layer, reach))
         return reaches[::-1]
-
-
-def _crop(x: Tensor, row: Tensor, col: Tensor, stride: int, reach: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Features (B, C, h, w) within ``reach`` of the pixels, which are counted at full resolution, and the pixels in them."""
-    size = [min(2 * reach + 1, n) for n in x.shape[2:]]
-    top, left = ((at // stride - reach).clamp(0, n - k) for at, n, k in zip((row, col), x.shape[2:], size, strict=True))
-    parts = [
-        x[i, :, t : t + size[0], k : k + size[1]] for i, (t, k) in enumerate(zip(top.tolist(), left.tolist(), strict=True))
-    ]
-    layout = torch.channels_last if x.is_contiguous(memory_format=torch.channels_last) else torch.contiguous_format
-    return torch.stack(parts).contiguous(memory_format=layout), row - top * stride, col - left * stride

@@ -120,3 +120,26 @@ class Logits(nn.Conv2d):
     def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B K H W"]:
         with torch.autocast(x.device.type, enabled=False):
             return super().forward(x.float())
+
+
+def crop(
+    x: Float[Tensor, "B C h w"], row: Int[Tensor, " B"], col: Int[Tensor, " B"], stride: int, reach: int
+) -> tuple[Float[Tensor, "B C k k"], Int[Tensor, " B"], Int[Tensor, " B"]]:
+    """The part of each feature map that lies within ``reach`` of a pixel, and never beyond the map.
+
+    Args:
+        x: Features.
+        row, col: The pixels, counted at full resolution.
+        stride: Of the features.
+        reach: In features, to each side.
+
+    Returns:
+        The parts, and each pixel's row and column in its part, at full resolution.
+    """
+    size = [min(2 * reach + 1, n) for n in x.shape[2:]]
+    top, left = ((at // stride - reach).clamp(0, n - k) for at, n, k in zip((row, col), x.shape[2:], size, strict=True))
+    parts = [
+        x[i, :, t : t + size[0], k : k + size[1]] for i, (t, k) in enumerate(zip(top.tolist(), left.tolist(), strict=True))
+    ]
+    layout = torch.channels_last if x.is_contiguous(memory_format=torch.channels_last) else torch.contiguous_format
+    return torch.stack(parts).contiguous(memory_format=layout), row - top * stride, col - left * stride

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from typing import cast
+
+import torch
 import torch.nn.functional as F
 import torchvision
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import Logits, PixelNetwork
+from see2act.modules.network import Logits, PixelNetwork, crop
 from torch import Tensor, nn
 from torchvision.models.detection.backbone_utils import BackboneWithFPN
 from torchvision.models.detection.rpn import RPNHead
 
 FPN_CHANNELS = 256
-LEVEL = "0"
-"""torchvision's name of P2, the finest level, at stride 4."""
+STRIDE = 4
+"""Of P2, the pyramid's finest level."""
+REACH = 3
+"""Features of P2, to each side, that a logit depends on after the pyramid: two convolutions, and an enlargement."""
 DEPTHS = ("early", "none")
 COARSEST = 32
 """Stride of the coarsest feature map."""
@@ -51,15 +56,28 @@ class ResNetFPN(nn.Module):
             nn.init.zeros_(self.depth.weight)
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 256 h w"]:
-        features = {}
+        return self.smoothed(self.merged(x))
+
+    def merged(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 256 h w"]:
+        """Of the pyramid's finest level, all but its last convolution; of the others, no more than that needs."""
+        features = []
         y = x[:, :3]
         for name, layer in self.body.items():
             y = layer(y)
             if name == "conv1" and self.depth is not None:
                 y = y + self.depth(x[:, 3:])
             if name in self.body.return_layers:
-                features[self.body.return_layers[name]] = y
-        p2: Tensor = self.fpn(features)[LEVEL]
+                features.append(y)
+        down: Tensor | None = None
+        for block, feature in zip(reversed(self.fpn.inner_blocks), reversed(features), strict=True):
+            lateral: Tensor = block(feature)
+            down = lateral if down is None else lateral + F.interpolate(down, size=lateral.shape[2:], mode="nearest")
+        assert down is not None
+        return down
+
+    def smoothed(self, merged: Float[Tensor, "B 256 h w"]) -> Float[Tensor, "B 256 h w"]:
+        """P2, from what :meth:`merged` gives."""
+        p2: Tensor = self.fpn.layer_blocks[0](merged)
         return p2
 
 
@@ -80,7 +98,7 @@ class ObjectnessHead(RPNHead):
 
     def forward(self, x: Float[Tensor, "B 256 h w"]) -> Float[Tensor, "B 1 H W"]:
         objectness = self.cls_logits(self.conv(x)).amax(1, keepdim=True)
-        return F.interpolate(objectness, scale_factor=4, mode="bilinear", align_corners=False)
+        return F.interpolate(objectness, scale_factor=STRIDE, mode="bilinear", align_corners=False)
 
 
 class RPN(PixelNetwork):
@@ -95,3 +113,12 @@ class RPN(PixelNetwork):
     def __init__(self, backbone: str = "resnet50", anchors: int = 3, depth: str = "early"):
         # The stem, four stages and the pyramid see some 500 px to each side: all of any heightmap here.
         super().__init__(ResNetFPN(backbone, depth), ObjectnessHead(anchors), stride=COARSEST, reach=512)
+
+    def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
+        """The logit of one pixel of each input: the widest convolutions, at the end, see no more than it depends on."""
+        backbone = cast(ResNetFPN, self.backbone)
+        with self.autocast():
+            merged = backbone.merged(x.contiguous(memory_format=self._layout))
+            merged, row, col = crop(merged, row, col, STRIDE, REACH)
+            logits: Tensor = self.head(backbone.smoothed(merged))
+        return logits[torch.arange(len(x)), 0, row, col].float()

@@ -142,6 +142,25 @@ def test_epsilon_travels_with_the_weights(detector: FasterRCNN, tmp_path: Path) 
     assert {layer.eps for layer in batchnorms(second).values()} == {0.0}
 
 
+def test_a_logit_of_one_pixel_is_that_of_the_whole_map() -> None:
+    torch.manual_seed(3)
+    network = RPN("resnet18").eval()
+    x = torch.randn(5, 4, 96, 128)
+    row, col = torch.tensor([0, 95, 50, 3, 94]), torch.tensor([0, 127, 61, 126, 2])
+    gradients = []
+    for logits in (network(x)[torch.arange(5), 0, row, col], network.logits_at(x, row, col)):
+        network.zero_grad()
+        logits.sum().backward()
+        gradients.append(
+            (logits.detach(), {name: p.grad.clone() for name, p in network.named_parameters() if p.grad is not None})
+        )
+    (whole, expected), (alone, ours) = gradients
+    assert torch.allclose(whole, alone, atol=1e-5)
+    assert ours.keys() == expected.keys()
+    for name, gradient in expected.items():
+        assert torch.allclose(gradient, ours[name], atol=1e-5 + 1e-3 * float(gradient.abs().max())), name
+
+
 @pytest.mark.parametrize("name", ["resnet18", "resnet34"])
 def test_smaller_backbones_have_the_same_interface(name: str) -> None:
     network = RPN(name).eval()
