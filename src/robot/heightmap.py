@@ -44,12 +44,12 @@ def highest(
         rows, cols and flat image indices, each of length n (cells with a point).
     """
     flat = points.reshape(-1, 3)
-    rows, cols = workspace.to_pixel(flat[:, 0], flat[:, 1])
     _, width = workspace.shape
     inside = (np.abs(flat[:, 0]) < workspace.width / 2 - WALL) & (np.abs(flat[:, 1]) < workspace.length / 2 - WALL)
     index = np.flatnonzero(seen.ravel() & inside)
     order = index[np.argsort(flat[index, 2], kind="stable")]
-    cell = rows[order] * width + cols[order]
+    rows, cols = workspace.to_pixel(flat[order, 0], flat[order, 1])
+    cell = rows * width + cols
     winner = np.full(workspace.shape[0] * width, -1)
     winner[cell] = order  # the last write wins, and the highest point comes last
     cells = np.flatnonzero(winner >= 0)
