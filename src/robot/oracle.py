@@ -19,10 +19,9 @@ HOPELESS = -1000.0
 """Logit of a pick that the oracle rules out."""
 UNCHECKED = -200.0
 """Of picks on an object that were not looked at closely."""
-Logits = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
 
 
-def oracle(robot: SimulatedRobot, angles: int) -> Logits:
+def oracle(robot: SimulatedRobot, angles: int) -> Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]:
     """How well each pick of ``robot``'s tool would go: (color, height) of an observation to logits of ``angles`` x pixels.
 
     Raises:
