@@ -46,12 +46,15 @@ def check_parts(cfg: DictConfig) -> None:
     Raises:
         ConfigError: With one line.
     """
+    import torch  # takes seconds, which --help should not
+
     try:
         for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
             check_arguments(cfg[group], group)
         robot_factory(cfg, cfg.primitive)().close()
         policy(cfg)
-        instantiate(cfg.model.network)
+        with torch.device("meta"):  # parameters without values: nothing is drawn from anybody's generator
+            instantiate(cfg.model.network)
     except (RobotError, HydraException, OmegaConfBaseException) as error:
         cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
         raise ConfigError(one_line(cause)) from None
