@@ -101,7 +101,7 @@ def _stages(cfg: DictConfig, module: AffordanceModule, log: Path) -> Iterator[tu
         RuntimeError: The attempts differ.
     """
     robot, policy = build.robot_factory(cfg, cfg.primitive)(), build.policy(cfg)
-    replay = Replay(**cfg.finetune.replay, rng=generator("replay", cfg.seed))
+    replay = Replay(**cfg.finetune.replay, pixel=cfg.workspace.pixel, rng=generator("replay", cfg.seed))
     explore, optimizer = generator("explore", cfg.seed), module.configure_optimizers()
     module.train()
     seconds: dict[str, float] = defaultdict(float)

@@ -170,7 +170,7 @@ def remembering(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
     ]
 
     def draws(size: int) -> Work:
-        replay = Replay(**cfg.finetune.replay, rng=generator("benchmarks/stages/replay"))
+        replay = Replay(**cfg.finetune.replay, pixel=cfg.workspace.pixel, rng=generator("benchmarks/stages/replay"))
         for i in range(size):
             replay.add(*several[i % len(several)], 0, 72, 72, i % 3 == 0)
 

@@ -62,8 +62,7 @@ def check_parts(cfg: DictConfig) -> None:
 
 def policy(cfg: DictConfig) -> Policy:
     """The rule that turns affordances into picks."""
-    along, across = (metres / cfg.workspace.pixel for metres in cfg.primitive.footprint)
-    built: Policy = instantiate(cfg.policy, footprint=(along, across))
+    built: Policy = instantiate(cfg.policy, pixel=cfg.workspace.pixel, footprint=tuple(cfg.primitive.footprint))
     return built
 
 

@@ -352,6 +352,7 @@ def validate(cfg: DictConfig) -> None:
     _check_words(cfg)
     _check_numbers(cfg)
     _check_footprint(cfg)
+    _check_policy(cfg)
     _check_vision(cfg)
 
 
@@ -391,6 +392,14 @@ def _check_footprint(cfg: DictConfig) -> None:
             f"primitive.footprint={list(footprint)} leaves nothing to pick from: it must be [along, across] in metres, each "
             f"between 0 and {most:.3f}"
         )
+
+
+def _check_policy(cfg: DictConfig) -> None:
+    most = min(cfg.workspace.width, cfg.workspace.length) / 2
+    for key in ("radius", "changed_radius"):
+        value = cfg.policy.get(key, 0.0)
+        if isinstance(value, int | float) and not 0 <= value < most:  # another type is refused with the others
+            raise ConfigError(f"policy.{key}={value} is as large as the bin: it must be in metres, between 0 and {most:g}")
 
 
 def _check_vision(cfg: DictConfig) -> None:

@@ -115,9 +115,9 @@ def diagnosis(attempts: Path, path: Path, title: str) -> None:
 
 
 def _near_earlier(row: dict[str, str], rows: list[dict[str, str]]) -> bool:
-    """Whether the pick lies within four pixels of an earlier one of the same episode."""
+    """Whether the pick lies within a centimetre of an earlier one of the same episode."""
     earlier = [r for r in rows if r["episode"] == row["episode"] and int(r["step"]) < int(row["step"])]
-    return any(math.hypot(int(r["row"]) - int(row["row"]), int(r["col"]) - int(row["col"])) <= 4 for r in earlier)
+    return any(math.hypot(float(r["x"]) - float(row["x"]), float(r["y"]) - float(row["y"])) <= 0.01 for r in earlier)
 
 
 def _reliability(rows: list[dict[str, str]]) -> list[tuple[float, float, float, float]]:

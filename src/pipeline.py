@@ -258,7 +258,7 @@ class Run:
         cfg = self.cfg
         robot = build.robot_factory(cfg, cfg.primitive)()
         try:
-            replay = Replay(**cfg.finetune.replay, rng=generator("replay", cfg.seed))
+            replay = Replay(**cfg.finetune.replay, pixel=cfg.workspace.pixel, rng=generator("replay", cfg.seed))
             data = InteractiveDataModule(
                 robot,
                 build.policy(cfg),

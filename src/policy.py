@@ -47,22 +47,24 @@ class Policy:
     Args:
         name: ``suppress`` or ``argmax``.
         suppress: Whether failures are remembered at all.
-        radius: Pixels around a failed pick that are left out.
+        pixel: Metres a pixel of the heightmap.
+        radius: Metres around a failed pick that are left out.
         angles: Neighbouring angles (to each side, of the robot's 16) that are left out with it.
         changed_height: Metres by which a cell must change to count as changed.
         changed_share: Share of changed cells around the pick that makes the scene there a new one.
-        changed_radius: Pixels around the pick that are compared.
-        footprint: Pixels from the middle of the tool to its outer ends, along the jaws and across them: all of it must have
+        changed_radius: Metres around the pick that are compared.
+        footprint: Metres from the middle of the tool to its outer ends, along the jaws and across them: all of it must have
             room between the bin's walls (the paper plans motions free of collisions with what is known).
     """
 
     name: str
     suppress: bool
-    radius: int = 4
+    pixel: float
+    radius: float = 0.01
     angles: int = 2
     changed_height: float = 0.008
     changed_share: float = 0.1
-    changed_radius: int = 12
+    changed_radius: float = 0.03
     footprint: tuple[float, float] = (0.0, 0.0)
     _failures: list[_Failure] = field(default_factory=list)
 
@@ -114,12 +116,13 @@ class Policy:
 
     def _allowed(self, shape: tuple[int, ...], heightmap: Heightmap) -> np.ndarray:
         self._failures = [f for f in self._failures if not self._changed(f, heightmap)]
-        room = room_between_walls(shape, self.footprint)
+        along, across = self.footprint
+        room = room_between_walls(shape, (along / self.pixel, across / self.pixel))
         allowed = room.copy()
         v, u = np.ogrid[: shape[1], : shape[2]]
         for failure in self._failures:
             c = failure.choice
-            near = (v - c.row) ** 2 + (u - c.col) ** 2 <= self.radius**2
+            near = (v - c.row) ** 2 + (u - c.col) ** 2 <= (self.radius / self.pixel) ** 2
             beside = [(c.angle + k) % shape[0] for k in range(-self.angles, self.angles + 1)]
             for angle in set(beside):
                 allowed[angle] &= ~near
@@ -130,7 +133,7 @@ class Policy:
         return bool((difference > self.changed_height).mean() > self.changed_share)
 
     def _patch(self, heightmap: Heightmap, choice: Choice) -> np.ndarray:
-        r = self.changed_radius
+        r = round(self.changed_radius / self.pixel)
         rows = slice(max(0, choice.row - r), choice.row + r + 1)
         cols = slice(max(0, choice.col - r), choice.col + r + 1)
         return heightmap.height[rows, cols]
@@ -141,7 +144,7 @@ def room_between_walls(shape: tuple[int, ...], footprint: tuple[float, float]) -
 
     Args:
         shape: Angles (over half a turn), rows and columns.
-        footprint: As of :class:`Policy`.
+        footprint: As of :class:`Policy`, but in pixels.
     """
     angles, rows, cols = shape
     room = np.zeros(shape, bool)

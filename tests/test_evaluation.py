@@ -55,7 +55,7 @@ def _affordances(color: np.ndarray, height: np.ndarray) -> np.ndarray:
 def test_a_run_ends_when_the_bin_is_empty_or_its_attempts_are_spent(objects: int, seen: int, unseen: int) -> None:
     robot, rows = CountingRobot(objects), []
     protocol = Protocol(runs=2, attempts={"seen": 25, "unseen": 15})
-    result = evaluate(robot, _affordances, Policy("suppress", True), protocol, lambda a, **where: rows.append(where))
+    result = evaluate(robot, _affordances, Policy("suppress", True, 0.0025), protocol, lambda a, **where: rows.append(where))
     assert [run["attempts"] for run in result["seen"]["runs"]] == [seen, seen]
     assert [run["attempts"] for run in result["unseen"]["runs"]] == [unseen, unseen]
     assert result["seen"]["successes"] == 2 * (seen // 2)
@@ -68,7 +68,11 @@ def test_a_run_ends_when_the_bin_is_empty_or_its_attempts_are_spent(objects: int
 def test_settings_can_be_chosen_by_other_scenes() -> None:
     robot = CountingRobot(2)
     evaluate(
-        robot, _affordances, Policy("argmax", False), Protocol(1, {"seen": 1, "unseen": 1}, "develop"), lambda a, **w: None
+        robot,
+        _affordances,
+        Policy("argmax", False, 0.0025),
+        Protocol(1, {"seen": 1, "unseen": 1}, "develop"),
+        lambda a, **w: None,
     )
     assert robot.resets == [(scene_seed(split, 0, "develop"), split) for split in ("seen", "unseen")]
     assert robot.resets != [(scene_seed(split, 0), split) for split in ("seen", "unseen")]
@@ -76,7 +80,7 @@ def test_settings_can_be_chosen_by_other_scenes() -> None:
 
 def test_the_last_angle_and_pixel_become_a_pick_in_the_world() -> None:
     robot = CountingRobot(1)
-    evaluate(robot, _affordances, Policy("argmax", False), Protocol(1, {"seen": 1, "unseen": 1}), lambda a, **w: None)
+    evaluate(robot, _affordances, Policy("argmax", False, 0.0025), Protocol(1, {"seen": 1, "unseen": 1}), lambda a, **w: None)
     pick = robot.picks[0]
     assert (pick.row, pick.col) == (7, 7)
     assert pick.angle == pytest.approx(15 * np.pi / 16)
@@ -86,6 +90,10 @@ def test_the_last_angle_and_pixel_become_a_pick_in_the_world() -> None:
 def test_every_run_starts_with_an_empty_memory() -> None:
     robot = CountingRobot(10)
     evaluate(
-        robot, _affordances, Policy("suppress", True, radius=1), Protocol(2, {"seen": 1, "unseen": 1}), lambda a, **w: None
+        robot,
+        _affordances,
+        Policy("suppress", True, 0.0025, radius=0.0025),
+        Protocol(2, {"seen": 1, "unseen": 1}),
+        lambda a, **w: None,
     )
     assert len({(pick.row, pick.col, pick.angle) for pick in robot.picks}) == 1

@@ -23,8 +23,8 @@ def test_reliability_counts_by_tenths_of_the_prediction() -> None:
 
 
 def test_repeats_are_within_an_episode_and_after() -> None:
-    rows = [_row(1, 0.5, 0, episode=0, row=10, col=10), _row(2, 0.5, 0, episode=0, row=12, col=13)]
-    rows.append(_row(3, 0.5, 0, episode=1, row=10, col=10))
+    rows = [_row(1, 0.5, 0, episode=0, x=0.1, y=0.0), _row(2, 0.5, 0, episode=0, x=0.107, y=-0.007)]
+    rows.append(_row(3, 0.5, 0, episode=1, x=0.1, y=0.0))
     assert [figures._near_earlier(row, rows) for row in rows] == [False, True, False]
 
 

@@ -28,20 +28,20 @@ def logits() -> np.ndarray:
 
 
 def test_takes_the_best_pixel_and_angle(flat: Heightmap, logits: np.ndarray) -> None:
-    choice = Policy("suppress", True).choose(logits, flat)
+    choice = Policy("suppress", True, 0.0025).choose(logits, flat)
     assert (choice.angle, choice.row, choice.col) == (3, 20, 20)
     assert choice.score == pytest.approx(1 / (1 + np.exp(-5)))
 
 
 def test_argmax_repeats_a_failure_and_suppress_does_not(flat: Heightmap, logits: np.ndarray) -> None:
-    for policy, expected in ((Policy("argmax", False), 3), (Policy("suppress", True), 9)):
+    for policy, expected in ((Policy("argmax", False, 0.0025), 3), (Policy("suppress", True, 0.0025), 9)):
         choice = policy.choose(logits, flat)
         policy.remember(choice, flat, success=False)
         assert policy.choose(logits, flat).angle == expected
 
 
 def test_suppressed_neighbourhood_has_the_configured_size(flat: Heightmap) -> None:
-    policy = Policy("suppress", True, radius=4, angles=2)
+    policy = Policy("suppress", True, 0.0025, radius=0.01, angles=2)
     maps = np.full((16, 40, 40), -9.0)
     maps[3, 20, 20] = 5.0
     policy.remember(policy.choose(maps, flat), flat, success=False)
@@ -52,8 +52,23 @@ def test_suppressed_neighbourhood_has_the_configured_size(flat: Heightmap) -> No
         assert ((choice.angle, choice.row) == (angle, row)) is expected
 
 
+def test_what_is_left_alone_does_not_depend_on_the_resolution() -> None:
+    logits = np.full((1, 80, 80), -9.0)
+    logits[0, 40, 40] = 5.0
+    fine = _heightmap(np.zeros((80, 80)))
+    policy = build.policy(composed(["workspace.pixel=0.00125"]))
+    policy.remember(policy.choose(logits, fine), fine, success=False)
+    for row, expected in ((48, False), (49, True)):  # 10 mm, and more
+        other = logits.copy()
+        other[0, row, 40] = 9.0
+        assert (policy.choose(other, fine).row == row) is expected
+    changed = np.zeros((80, 80), np.float32)
+    changed[60:, :] = 0.03  # the last 13 mm of 30
+    assert policy.choose(logits, _heightmap(changed)).row == 40
+
+
 def test_a_changed_scene_is_tried_again(flat: Heightmap, logits: np.ndarray) -> None:
-    policy = Policy("suppress", True)
+    policy = Policy("suppress", True, 0.0025)
     policy.remember(policy.choose(logits, flat), flat, success=False)
     changed = np.zeros((40, 40))
     changed[12:24, 12:24] = 0.03
@@ -61,14 +76,14 @@ def test_a_changed_scene_is_tried_again(flat: Heightmap, logits: np.ndarray) -> 
 
 
 def test_sensor_noise_is_no_change(flat: Heightmap, logits: np.ndarray) -> None:
-    policy = Policy("suppress", True)
+    policy = Policy("suppress", True, 0.0025)
     policy.remember(policy.choose(logits, flat), flat, success=False)
     noise = np.random.default_rng(0).normal(0, 0.001, (40, 40))
     assert policy.choose(logits, _heightmap(noise)).angle == 9
 
 
 def test_success_clears_the_memory(flat: Heightmap, logits: np.ndarray) -> None:
-    policy = Policy("suppress", True)
+    policy = Policy("suppress", True, 0.0025)
     first = policy.choose(logits, flat)
     policy.remember(first, flat, success=False)
     policy.remember(policy.choose(logits, flat), flat, success=True)
@@ -79,7 +94,7 @@ def test_temperature_draws_in_proportion_to_the_softmax(flat: Heightmap) -> None
     maps = np.full((1, 40, 40), -50.0)
     maps[0, 1, 1], maps[0, 30, 30] = logit(0.9), logit(0.88)
     rng = np.random.default_rng(0)
-    draws = [Policy("suppress", True).choose(maps, flat, 0.02, rng) for _ in range(2000)]
+    draws = [Policy("suppress", True, 0.0025).choose(maps, flat, 0.02, rng) for _ in range(2000)]
     share = np.mean([not choice.explored for choice in draws])
     assert share == pytest.approx(np.e / (1 + np.e), abs=0.03)
 
@@ -88,7 +103,7 @@ def test_a_model_that_expects_only_failure_looks_everywhere(flat: Heightmap) -> 
     maps = np.full((1, 40, 40), -12.0)
     maps[0, :, 20] = -6.0
     rng = np.random.default_rng(0)
-    draws = [Policy("suppress", True).choose(maps, flat, 0.02, rng).col for _ in range(400)]
+    draws = [Policy("suppress", True, 0.0025).choose(maps, flat, 0.02, rng).col for _ in range(400)]
     assert np.mean(np.array(draws) == 20) < 0.1
 
 
@@ -96,8 +111,8 @@ def test_a_model_that_expects_only_failure_looks_everywhere(flat: Heightmap) -> 
     ("footprint", "expected"),
     [
         ((0, 0), (0, 20, 0)),
-        ((4, 4), (20, 11, 0)),
-        ((12, 4), (20, 11, 8)),  # jaws along x have no room at column 11, jaws along y do
+        ((0.01, 0.01), (20, 11, 0)),
+        ((0.03, 0.01), (20, 11, 8)),  # jaws along x have no room at column 11, jaws along y do
     ],
 )
 def test_the_tool_has_room_between_the_walls(
@@ -105,7 +120,7 @@ def test_the_tool_has_room_between_the_walls(
 ) -> None:
     maps = np.zeros((16, 40, 40))
     maps[0, 0, 20], maps[0, 20, 11], maps[8, 20, 11] = 3.0, 2.0, 1.0
-    choice = Policy("suppress", True, footprint=footprint).choose(maps, flat)
+    choice = Policy("suppress", True, 0.0025, footprint=footprint).choose(maps, flat)
     assert (choice.row, choice.col, choice.angle) == expected
 
 
@@ -115,7 +130,8 @@ def test_a_gripper_in_the_outermost_pixels_it_may_use_touches_no_wall(make_robot
     robot, cfg = make_robot("primitive=grasp"), composed(["primitive=grasp"])
     robot.reset(0, "seen", count=0)
     heightmap = robot.observe().heightmap
-    room = room_between_walls((16, *heightmap.height.shape), build.policy(cfg).footprint)
+    along, across = (metres / cfg.workspace.pixel for metres in cfg.primitive.footprint)
+    room = room_between_walls((16, *heightmap.height.shape), (along, across))
     for angle in range(0, 16, 3):
         rows, cols = np.nonzero(room[angle])
         for row, col in ((rows.min(), cols.min()), (rows.max(), cols.max()), (rows.min(), cols.max())):
@@ -125,14 +141,14 @@ def test_a_gripper_in_the_outermost_pixels_it_may_use_touches_no_wall(make_robot
 
 def test_something_is_chosen_even_when_all_has_failed() -> None:
     flat = _heightmap(np.zeros((5, 5)))
-    policy = Policy("suppress", True, radius=20)
+    policy = Policy("suppress", True, 0.0025, radius=1.0)
     maps = np.zeros((1, 5, 5))
     policy.remember(policy.choose(maps, flat), flat, success=False)
     assert policy.choose(maps, flat).logit == 0.0
 
 
 def test_entropy_tells_how_sure_a_draw_is(flat: Heightmap) -> None:
-    policy, rng = Policy("argmax", False), np.random.default_rng(0)
+    policy, rng = Policy("argmax", False, 0.0025), np.random.default_rng(0)
     everywhere = policy.choose(np.zeros((16, 40, 40)), flat, 0.02, rng)
     assert everywhere.entropy == pytest.approx(np.log(16 * 40 * 40))
     two = np.full((16, 40, 40), -40.0)

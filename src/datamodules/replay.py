@@ -32,9 +32,10 @@ class Replay:
         mirror: Whether half of the heightmaps, drawn anew each time, are to be mirrored by rows, and half by columns:
             a cup does not mind, and a grasp that is horizontal in the turned heightmap stays so.
         turn: Radians up to which heightmaps are to be turned about their pixel, either way.
-        shift: Pixels up to which they are to be shifted, along rows and columns, either way.
+        shift: Metres up to which they are to be shifted, along rows and columns, either way.
         tint: Share by which the colour channels, in any order, are to be made stronger and lighter: what an object is to a tool
             is its shape.
+        pixel: Metres a pixel.
         rng: Generator of the draws.
     """
 
@@ -47,10 +48,11 @@ class Replay:
         turn: float,
         shift: float,
         tint: float,
+        pixel: float,
         rng: np.random.Generator,
     ):
         self._beta, self._floor = beta, floor
-        self._mirror, self._turn, self._shift, self._tint = mirror, turn, shift, tint
+        self._mirror, self._turn, self._shift, self._tint = mirror, turn, shift / pixel, tint
         self._rng = rng
         self._items: dict[str, list] = {name: [] for name in COLUMNS}
         self._heightmaps: list[bytes] = []

@@ -24,8 +24,8 @@ class Recorder:
 
 def _first_scene(seed: int, **scenes: Any) -> int:
     robot = Recorder()
-    replay = Replay(0.6, 0.4, 0.01, False, 0.0, 0.0, 0.0, rng=generator("replay", seed))
-    data = InteractiveDataModule(robot, Policy("argmax", False), replay, seed, 8, 4, 0.0, 15, **scenes)  # type: ignore[arg-type]
+    replay = Replay(0.6, 0.4, 0.01, False, 0.0, 0.0, 0.0, 0.0025, rng=generator("replay", seed))
+    data = InteractiveDataModule(robot, Policy("argmax", False, 0.0025), replay, seed, 8, 4, 0.0, 15, **scenes)  # type: ignore[arg-type]
     with pytest.raises(StopIteration):
         data.act(lambda color, height: height[None])
     return robot.scenes[0]

@@ -9,7 +9,7 @@ from see2act.datamodules.replay import BLOCK, Replay, _Priorities
 
 
 def _filled(n: int, alpha: float = 0.6, beta: float = 0.4) -> Replay:
-    replay = Replay(alpha, beta, 0.01, True, 0.1, 1.0, 0.3, np.random.default_rng(0))
+    replay = Replay(alpha, beta, 0.01, True, 0.1, 0.0025, 0.3, 0.0025, np.random.default_rng(0))
     for i in range(n):
         color = np.full((4, 4, 3), i, np.uint8)
         replay.add(color, np.full((4, 4), i / 100, np.float32), i % 16, i % 4, 3 - i % 4, i % 2 == 0)
@@ -30,7 +30,7 @@ def test_a_batch_holds_what_was_added() -> None:
 def test_heightmaps_are_kept_to_a_tenth_of_a_millimetre() -> None:
     rng = np.random.default_rng(0)
     color, height = rng.integers(0, 256, (9, 7, 3), np.uint8), rng.uniform(-0.01, 0.3, (9, 7)).astype(np.float32)
-    replay = Replay(0.6, 0.4, 0.01, True, 0.1, 1.0, 0.3, rng)
+    replay = Replay(0.6, 0.4, 0.01, True, 0.1, 0.0025, 0.3, 0.0025, rng)
     replay.add(color, height, 0, 0, 0, True)
     batch = replay.sample(1)
     assert (batch["color"][0].numpy() == color).all()
@@ -103,7 +103,7 @@ def test_save_and_load_continue_the_same_draws() -> None:
     file = io.BytesIO()
     torch.save(replay.state_dict(), file)
     file.seek(0)
-    restored = Replay(0.6, 0.4, 0.01, True, 0.1, 1.0, 0.3, np.random.default_rng(99))
+    restored = Replay(0.6, 0.4, 0.01, True, 0.1, 0.0025, 0.3, 0.0025, np.random.default_rng(99))
     restored.load_state_dict(torch.load(file, weights_only=True))
     for _ in range(3):
         a, b = replay.sample(8), restored.sample(8)
@@ -137,8 +137,14 @@ def test_variations_stay_within_their_bounds() -> None:
     assert 0.14 < batch["tint"][:, :, 3].abs().max() <= 0.15
 
 
+def test_shifts_are_in_metres() -> None:
+    replay = Replay(0.6, 0.4, 0.01, True, 0.1, 0.0025, 0.3, 0.00125, np.random.default_rng(0))
+    replay.add(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0, 1, 1, True)
+    assert 1.9 < replay.sample(200)["shift"].abs().max() <= 2  # pixels
+
+
 def test_nothing_varies_unless_asked() -> None:
-    replay = Replay(0.6, 0.4, 0.01, False, 0.0, 0.0, 0.0, np.random.default_rng(0))
+    replay = Replay(0.6, 0.4, 0.01, False, 0.0, 0.0, 0.0, 0.0025, np.random.default_rng(0))
     replay.add(np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32), 0, 0, 0, True)
     batch = replay.sample(50)
     assert not batch["mirror"].any()

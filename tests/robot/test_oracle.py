@@ -11,7 +11,7 @@ from see2act.robot.oracle import HOPELESS, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import RobotError
 
-PLAIN = Policy("argmax", False)
+PLAIN = Policy("argmax", False, 0.0025)
 ANGLES = {"suction": 1, "grasp": 16}
 
 
