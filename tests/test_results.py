@@ -1,0 +1,97 @@
+"""The published tables are what the committed runs say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from see2act.report import summary
+from see2act.report.benches import find
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results"
+SOURCES = {"": "full", "backbone and head": "full", "backbone": "backbone"}
+"""Words after a source to the transfer they mean."""
+NUMBERS = re.compile(r"([\d.]+)(?: \[(-?[\d.]+), (-?[\d.]+)\])?(?: \((\d+)/(\d+)(?:, all seeds the same)?\))?")
+
+
+class Cell(NamedTuple):
+    """One cell of a published table, and where it stands."""
+
+    place: str
+    primitive: str
+    source: tuple[str, str]
+    column: str
+    text: str
+
+
+def _tables(path: Path, after: str, before: str) -> Iterator[Cell]:
+    """Cells of all tables of arms between two headings."""
+    header: list[str] = []
+    section = path.read_text().split(after)[1].split(before)[0]
+    for line in section.splitlines():
+        if not line.startswith("|") or set(line) <= set("|- "):
+            header = header if line.startswith("|") else []
+            continue
+        first, *cells = (cell.strip().replace("**", "") for cell in line.strip("|").split("|"))
+        if not header:
+            header = [first, *cells]
+            continue
+        task, _, words = first.partition(", ")
+        source = ("none", "none") if task == "scratch" else (task.strip("*"), SOURCES[words])
+        primitive = "suction" if header[0].startswith("suction") else "grasp"
+        for column, text in zip(header[1:], cells, strict=True):
+            yield Cell(f"{path.name}: {header[0]}, {first}, {column}", primitive, source, column, text)
+
+
+TABLES = {
+    "vision_tasks": [*_tables(RESULTS.with_suffix(".md"), "(`experiment=vision_tasks`)", "\n## ")],
+    "transfer_parts": [*_tables(RESULTS.with_suffix(".md"), "(`experiment=transfer_parts`)", "\n## ")],
+}
+
+
+@pytest.fixture(scope="module", params=TABLES)
+def published(request: pytest.FixtureRequest) -> tuple[list[Cell], dict, dict]:
+    """Cells of an experiment's tables, its arms by primitive and source, and their success on unseen objects by step."""
+    found = find(RESULTS / request.param)
+    arms = {(row["primitive"], (row["task"], row["transfer"])): row for row in summary.rows(found) if row["config_hash"]}
+    steps = {
+        (row["primitive"], (row["task"], row["transfer"]), row["step"]): row
+        for bench in found.benches
+        for row in summary.progress(bench)
+        if row["split"] == "unseen"
+    }
+    return TABLES[request.param], arms, steps
+
+
+def test_every_number_of_the_tables_is_in_the_committed_runs(published: tuple[list[Cell], dict, dict]) -> None:
+    cells, arms, steps = published
+    assert len(cells) > 20
+    for cell in cells:
+        arm = arms[cell.primitive, cell.source]
+        if cell.column.startswith("paper"):
+            assert cell.text in ("", arm["paper_unseen"]), cell.place
+            continue
+        if cell.column == "while learning":
+            row = {part: arm[f"learning_{part}"] for part in summary.PARTS}
+        else:
+            step = "0" if cell.column.startswith("before") else cell.column.removeprefix("after ")
+            row = steps[cell.primitive, cell.source, step]
+        match = NUMBERS.fullmatch(cell.text)
+        assert match, cell.place
+        mean, low, high, successes, attempts = match.groups()
+        for shown, measured in ((mean, row["mean"]), (low, row["low"]), (high, row["high"])):
+            assert shown is None or abs(float(shown) - float(measured)) < 0.0056, (cell.place, shown, measured)
+        assert successes is None or (successes, attempts) == (row["successes"], row["attempts"]), cell.place
+
+
+def test_the_readme_shows_the_same_numbers() -> None:
+    of_docs = {cell[1:4]: cell.text.split(" ")[0] for cells in TABLES.values() for cell in cells}
+    readme = [*_tables(ROOT / "README.md", "## What it found", "\n## ")]
+    assert len(readme) > 20
+    for cell in readme:
+        column = "paper, after" if cell.column == "paper" else cell.column
+        assert cell.text == of_docs[cell.primitive, cell.source, column], cell.place
