@@ -32,7 +32,7 @@ from see2act.seeding import generator, seed_for
 from benchmarks.common import faster, limit, overhead, timed
 
 SOURCES = {"suction": "normal", "grasp": "foreground"}
-"""The paper's best vision task for each primitive."""
+"""A vision task that is best in the paper, for each primitive."""
 SECONDS = {"suction": 0.3, "grasp": 0.6}
 """An attempt may take, learning included, on one core."""
 RUNS = 35

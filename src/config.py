@@ -335,7 +335,7 @@ COUNTS = (
 NOT_NEGATIVE = (
     *("pretrain.lr", "pretrain.weight_decay"),
     *(f"finetune.{key}" for key in ("attempts", "backbone_lr", "head_lr", "weight_decay", "temperature")),
-    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "floor", "turn", "shift", "tint")),
+    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "floor", "turn", "tint")),
 )
 """Keys that must be at least 0."""
 
@@ -352,7 +352,7 @@ def validate(cfg: DictConfig) -> None:
     _check_words(cfg)
     _check_numbers(cfg)
     _check_footprint(cfg)
-    _check_policy(cfg)
+    _check_lengths(cfg)
     _check_vision(cfg)
 
 
@@ -394,12 +394,12 @@ def _check_footprint(cfg: DictConfig) -> None:
         )
 
 
-def _check_policy(cfg: DictConfig) -> None:
+def _check_lengths(cfg: DictConfig) -> None:
     most = min(cfg.workspace.width, cfg.workspace.length) / 2
-    for key in ("radius", "changed_radius"):
-        value = cfg.policy.get(key, 0.0)
+    for key in ("policy.radius", "policy.changed_radius", "finetune.replay.shift"):
+        value = OmegaConf.select(cfg, key)
         if isinstance(value, int | float) and not 0 <= value < most:  # another type is refused with the others
-            raise ConfigError(f"policy.{key}={value} is as large as the bin: it must be in metres, between 0 and {most:g}")
+            raise ConfigError(f"{key}={value} is as large as the bin: it must be in metres, between 0 and {most:g}")
 
 
 def _check_vision(cfg: DictConfig) -> None:

@@ -111,6 +111,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("workspace.pixel=0", ["must be positive"]),
         ("primitive.footprint=[0.2,0.01]", ["primitive.footprint=[0.2, 0.01]", "between 0 and"]),
         ("policy.radius=4", ["policy.radius=4", "in metres"]),
+        ("finetune.replay.shift=1", ["finetune.replay.shift=1", "in metres"]),
         ("policy.radius=big", ["policy.radius=big", "must be float"]),
         ("model.width=0", ["model.width=0", "at least 1"]),
         ("camera.width=wide", ["camera.width=wide", "must be int"]),
