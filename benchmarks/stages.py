@@ -30,8 +30,8 @@ GRADIENT = {"fcn7": 1e-4, "rpn_r50_fpn": 1e-2}
 """By which gradients may differ, as a share of the largest.
 
 The order of sums in a layer differs with its layout, and fifty layers of single precision make more of that than seven:
-1e-5 was measured in the median parameter, 2.5e-3 in the worst. Of the RPN only the last two convolutions see less than the whole
-heightmap, and a test holds their gradients to the whole's.
+1e-5 was measured in the median parameter, 2.5e-3 in the worst. Of the RPN only the last two convolutions see less than the
+whole heightmap, and a test holds their gradients to the whole's.
 """
 
 

@@ -46,6 +46,8 @@ class TaskConfig:
     """``_target_`` and arguments of a :class:`see2act.modules.weights.OffTheShelf`; null for tasks learned here."""
     optional: list[str] = field(default_factory=list)
     """Beginnings of keys that off-the-shelf weights lack; they start at their initialisation."""
+    zero: list[str] = field(default_factory=list)
+    """The same; they start at zero."""
     model: str | None = None
     """The only model that off-the-shelf weights fit."""
     class_weight: str = "none"

@@ -192,7 +192,7 @@ class Run:
         models = {"before fine-tuning": before, "after fine-tuning": module}
         if vision:
             seeing = copy.deepcopy(before)
-            copy_parts(vision["network"], seeing.network, cfg.task.parts, cfg.task.optional)
+            copy_parts(vision["network"], seeing.network, cfg.task.parts, cfg.task.optional, cfg.task.zero)
             models = {f"vision model: {cfg.task.name}": seeing, **models}
         robot = build.robot_factory(cfg, cfg.primitive)()
         try:
@@ -220,7 +220,7 @@ class Run:
         return state
 
     def _copy(self, source: dict[str, Tensor], network: PixelNetwork) -> TransferReport:
-        return copy_parts(source, network, self.cfg.transfer.parts, self.cfg.task.optional)
+        return copy_parts(source, network, self.cfg.transfer.parts, self.cfg.task.optional, self.cfg.task.zero)
 
     def _train_vision(self, collection: Collection, path: Path) -> None:
         cfg, seed = self.cfg, self.cfg.pretrain.seed

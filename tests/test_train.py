@@ -259,7 +259,8 @@ def test_off_the_shelf_weights_from_a_file(tmp_path: Path, cache: Path) -> None:
     folder = tmp_path / "coco"
     _train(folder, cache, *COCO, f"task.weights={file}", "transfer=fixed")
     report = json.loads((folder / "transfer.json").read_text())
-    assert list(report["left_at_initialisation"]) == ["backbone.depth.weight"]
+    assert list(report["set_to_zero"]) == ["backbone.depth.weight"]
+    assert not report["left_at_initialisation"]
     assert report["copied"]["head.cls_logits.weight"] == [3, 256, 1, 1]
     assert (folder / "result.json").exists()
 

@@ -28,8 +28,8 @@ class ResNetFPN(nn.Module):
     """RGB-D to the P2 level of a feature pyramid, (B, 4, H, W) -> (B, 256, H / 4, W / 4).
 
     ``body`` and ``fpn`` are torchvision's, key by key. The depth enters through ``depth``, a convolution beside the first one
-    whose result is added to it: the same as a fourth input channel, with the keys of the other three untouched. It starts at
-    zero, so that until something is learned the network is the off-the-shelf one on the RGB alone.
+    whose result is added to it: the same as a fourth input channel, with the keys of the other three untouched. It starts
+    like the first one; weights that never saw depth make it zero (``copy_parts``).
 
     Args:
         name: A torchvision ResNet: resnet18, resnet34, resnet50, ...
@@ -53,7 +53,7 @@ class ResNetFPN(nn.Module):
         self.body, self.fpn = pyramid.body, pyramid.fpn
         self.depth = nn.Conv2d(1, 64, 7, stride=2, padding=3, bias=False) if depth == "early" else None
         if self.depth is not None:
-            nn.init.zeros_(self.depth.weight)
+            nn.init.kaiming_normal_(self.depth.weight, mode="fan_out", nonlinearity="relu")  # as torchvision's ResNets
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 256 h w"]:
         return self.smoothed(self.merged(x))
@@ -98,7 +98,18 @@ class ObjectnessHead(RPNHead):
 
     def forward(self, x: Float[Tensor, "B 256 h w"]) -> Float[Tensor, "B 1 H W"]:
         objectness = self.cls_logits(self.conv(x)).amax(1, keepdim=True)
-        return F.interpolate(objectness, scale_factor=STRIDE, mode="bilinear", align_corners=False)
+        return enlarged(objectness)
+
+
+def enlarged(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B C H W"]:
+    """Features at every pixel, bilinear between their centres.
+
+    The centre of feature j of a ResNet is pixel ``STRIDE`` j: its convolutions with stride are padded so that the first
+    pixel is their first centre. (``align_corners=False`` would take it for ``STRIDE`` j + 1.5.)
+    """
+    h, w = x.shape[2:]
+    x = F.pad(x, (0, 1, 0, 1), mode="replicate")
+    return F.interpolate(x, size=(STRIDE * h + 1, STRIDE * w + 1), mode="bilinear", align_corners=True)[..., :-1, :-1]
 
 
 class RPN(PixelNetwork):

@@ -25,6 +25,7 @@ class TransferReport:
     parts: list[str]
     copied: dict[str, list[int]] = field(default_factory=dict)
     left_at_initialisation: dict[str, list[int]] = field(default_factory=dict)
+    set_to_zero: dict[str, list[int]] = field(default_factory=dict)
     unused: dict[str, list[int]] = field(default_factory=dict)
 
     def summary(self) -> str:
@@ -40,7 +41,11 @@ class TransferReport:
 
 
 def copy_parts(
-    source: Mapping[str, Tensor], network: PixelNetwork, parts: Sequence[str], optional: Sequence[str] = ()
+    source: Mapping[str, Tensor],
+    network: PixelNetwork,
+    parts: Sequence[str],
+    optional: Sequence[str] = (),
+    zero: Sequence[str] = (),
 ) -> TransferReport:
     """Copy ``parts`` of a network's state dict into ``network``.
 
@@ -49,6 +54,7 @@ def copy_parts(
         network: Changed in place, after every check has passed.
         parts: Any of ``backbone`` and ``head``.
         optional: Beginnings of keys that the source need not have; they stay at their initialisation.
+        zero: The same, but they become zero: what they see adds nothing until something is learned.
 
     Raises:
         TransferError: A part is missing from the source, or its keys or shapes do not fit, or nothing of it would move.
@@ -60,11 +66,14 @@ def copy_parts(
         return report
     wanted = {key for key in target if key.split(".")[0] in (*parts, ALWAYS)}
     for part in parts:
-        _check(source, target, part, tuple(optional))
+        _check(source, target, part, (*optional, *zero))
     for key, value in target.items():
         if key in wanted and key in source:
             value.copy_(source[key])
             report.copied[key] = list(value.shape)
+        elif key in wanted and key.startswith(tuple(zero)):
+            value.zero_()
+            report.set_to_zero[key] = list(value.shape)
         else:
             report.left_at_initialisation[key] = list(value.shape)
     report.unused = {key: list(value.shape) for key, value in source.items() if key not in wanted}

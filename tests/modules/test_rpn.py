@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import save_file
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
-from see2act.modules.rpn import RPN
+from see2act.modules.rpn import RPN, enlarged
 from see2act.modules.transfer import TransferError, copy_parts
 from see2act.modules.weights import OffTheShelf, read, to_our_keys
 from torch import Tensor
@@ -26,7 +26,7 @@ from torchvision.ops import FrozenBatchNorm2d
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 SHELF = {"coco": OffTheShelf("fasterrcnn_resnet50_fpn.COCO_V1", MEAN, STD, 0.0)}
 SHELF["imagenet"] = OffTheShelf("resnet50.IMAGENET1K_V1", MEAN, STD, 1e-5)
-OPTIONAL = ["backbone.depth"]
+ZERO = ["backbone.depth"]
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +74,9 @@ def test_rgbd_input_gives_the_detector_s_objectness_on_rgb(
     assert ("rpn.head.conv.weight" in state) == (layout is _old)
     source = _with_height(SHELF["coco"].read(str(save(state, tmp_path))))
     network = RPN().eval()
-    report = copy_parts(source, network, ["backbone", "head"], OPTIONAL)
-    assert set(report.left_at_initialisation) == {"backbone.depth.weight"}
+    report = copy_parts(source, network, ["backbone", "head"], zero=ZERO)
+    assert set(report.set_to_zero) == {"backbone.depth.weight"}
+    assert not report.left_at_initialisation
     assert report.unused
     assert all(key.startswith("roi_heads") for key in report.unused)
 
@@ -83,12 +84,10 @@ def test_rgbd_input_gives_the_detector_s_objectness_on_rgb(
     image = detector.transform.normalize(color[0].permute(2, 0, 1).float() / 255)[None]
     with torch.no_grad():
         objectness, _ = detector.rpn.head([detector.backbone(image)["0"]])
-        expected = torch.nn.functional.interpolate(
-            objectness[0].amax(1, keepdim=True), scale_factor=4, mode="bilinear", align_corners=False
-        )
+        expected = objectness[0].amax(1, keepdim=True)
         for height in (torch.zeros(1, 256, 320), torch.rand(1, 256, 320)):
             ours = network(network.prepare(color, height))
-            assert (ours - expected).abs().max() <= 1e-5
+            assert (ours[..., ::4, ::4] - expected).abs().max() <= 1e-5
     assert expected.std() > 1e-3
 
 
@@ -98,14 +97,13 @@ def test_it_equals_the_detector_that_torchvision_builds_untrained(tmp_path: Path
     model = fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None).eval()
     shelf = replace(SHELF["coco"], epsilon=1e-5)
     network = RPN().eval()
-    copy_parts(_with_height(shelf.read(str(_save_pth(model.state_dict(), tmp_path)))), network, ["backbone", "head"], OPTIONAL)
+    copy_parts(_with_height(shelf.read(str(_save_pth(model.state_dict(), tmp_path)))), network, ["backbone", "head"], zero=ZERO)
     color = torch.randint(0, 256, (1, 128, 128, 3), dtype=torch.uint8)
     image = model.transform.normalize(color[0].permute(2, 0, 1).float() / 255)[None]
     with torch.no_grad():
         objectness, _ = model.rpn.head([model.backbone(image)["0"]])
         ours = network(network.prepare(color, torch.rand(1, 128, 128)))
-    expected = torch.nn.functional.interpolate(objectness[0].amax(1, keepdim=True), size=(128, 128), mode="bilinear")
-    assert (ours - expected).abs().max() <= 1e-5
+    assert (ours[..., ::4, ::4] - objectness[0].amax(1, keepdim=True)).abs().max() <= 1e-5
 
 
 def test_a_classifier_gives_the_body_alone(tmp_path: Path) -> None:
@@ -114,10 +112,12 @@ def test_a_classifier_gives_the_body_alone(tmp_path: Path) -> None:
     source = _with_height(SHELF["imagenet"].read(str(_save_pth(classifier.state_dict(), tmp_path))))
     network = RPN().eval()
     before = {key: value.clone() for key, value in network.state_dict().items()}
-    report = copy_parts(source, network, ["backbone"], [*OPTIONAL, "backbone.fpn"])
+    report = copy_parts(source, network, ["backbone"], ["backbone.fpn"], ZERO)
     assert set(report.unused) == {"fc.weight", "fc.bias"}
     for key, value in network.state_dict().items():
-        assert torch.equal(value, source[key] if key in report.copied else before[key]), key
+        expected = torch.zeros_like(value) if key in report.set_to_zero else before[key]
+        assert torch.equal(value, source[key] if key in report.copied else expected), key
+    assert set(report.set_to_zero) == {"backbone.depth.weight"}
     x = torch.randn(1, 4, 64, 64)
     with torch.no_grad():
         ours, theirs = x[:, :3], x[:, :3]
@@ -128,14 +128,14 @@ def test_a_classifier_gives_the_body_alone(tmp_path: Path) -> None:
 
 def test_a_backbone_by_itself_is_recognised(detector: FasterRCNN, tmp_path: Path) -> None:
     source = SHELF["coco"].read(str(_save_pth(detector.backbone.state_dict(), tmp_path)))
-    report = copy_parts(_with_height(source), RPN(), ["backbone"], OPTIONAL)
+    report = copy_parts(_with_height(source), RPN(), ["backbone"], zero=ZERO)
     assert len(report.copied) > 300
 
 
 def test_epsilon_travels_with_the_weights(detector: FasterRCNN, tmp_path: Path) -> None:
     source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path))))
     first, second = RPN().eval(), RPN().eval()
-    copy_parts(source, first, ["backbone", "head"], OPTIONAL)
+    copy_parts(source, first, ["backbone", "head"], zero=ZERO)
     copy_parts(first.state_dict(), second, ["backbone", "head"])
     x = torch.randn(1, 4, 64, 64)
     assert torch.equal(first(x), second(x))
@@ -161,6 +161,29 @@ def test_a_logit_of_one_pixel_is_that_of_the_whole_map() -> None:
         assert torch.allclose(gradient, ours[name], atol=1e-5 + 1e-3 * float(gradient.abs().max())), name
 
 
+def test_logits_lie_over_what_they_were_computed_from() -> None:
+    """The pixels that move a logit are centred on it; half a stride beside it they would be 1.5 px off."""
+    torch.manual_seed(4)
+    stem = RPN("resnet18").eval().backbone.body
+    pixels = torch.zeros(64, 64, 2)
+    pixels[..., 0], pixels[..., 1] = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
+    for row, col in ((32, 32), (30, 35)):
+        x = torch.zeros(8, 3, 64, 64, requires_grad=True)
+        y = x + torch.randn(8, 3, 64, 64)
+        for name in ("conv1", "bn1", "relu", "maxpool", "layer1"):
+            y = stem[name](y)
+        enlarged(y)[:, :, row, col].square().sum().backward()
+        weight = x.grad.abs().sum((0, 1))
+        centre = (pixels * weight[..., None]).sum((0, 1)) / weight.sum()
+        assert (centre - torch.tensor([float(row), float(col)])).abs().max() < 0.75
+
+
+def test_features_are_enlarged_linearly_between_their_centres() -> None:
+    x = torch.tensor([[[[0.0, 4.0], [8.0, 12.0]]]])
+    assert enlarged(x)[0, 0, 0].tolist() == [0, 1, 2, 3, 4, 4, 4, 4]
+    assert enlarged(x)[0, 0, :, 4].tolist() == [4, 6, 8, 10, 12, 12, 12, 12]
+
+
 @pytest.mark.parametrize("name", ["resnet18", "resnet34"])
 def test_smaller_backbones_have_the_same_interface(name: str) -> None:
     network = RPN(name).eval()
@@ -173,6 +196,8 @@ def test_the_depth_can_be_learned_and_left_out() -> None:
     network = RPN("resnet18")
     network(torch.randn(2, 4, 64, 64)).sum().backward()
     assert network.backbone.depth.weight.grad.abs().max() > 0
+    first = network.backbone.body.conv1.weight.std()
+    assert 0.8 < network.backbone.depth.weight.std() / first < 1.25  # scratch sees depth as well as colour
     blind = RPN("resnet18", depth="none").eval()
     x = torch.randn(1, 4, 64, 64)
     assert torch.equal(blind(x), blind(torch.cat([x[:, :3], x[:, 3:] + 1], 1)))
@@ -202,10 +227,10 @@ def test_files_that_cannot_be_trusted_are_refused(tmp_path: Path, monkeypatch: p
 def test_another_architecture_and_another_anchor_count_are_refused(detector: FasterRCNN, tmp_path: Path) -> None:
     small = _with_height(SHELF["imagenet"].read(str(_save_pth(resnet18(weights=None).state_dict(), tmp_path))))
     with pytest.raises(TransferError, match=r"backbone\.body\.layer1\.0\.conv3\.weight is missing.* more"):
-        copy_parts(small, RPN(), ["backbone"], [*OPTIONAL, "backbone.fpn"])
+        copy_parts(small, RPN(), ["backbone"], ["backbone.fpn"], ZERO)
     source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path))))
     with pytest.raises(TransferError, match=r"head\.cls_logits\.weight is \[3, 256, 1, 1\] there and \[5, 256, 1, 1\]"):
-        copy_parts(source, RPN(anchors=5), ["backbone", "head"], OPTIONAL)
+        copy_parts(source, RPN(anchors=5), ["backbone", "head"], zero=ZERO)
     with pytest.raises(TransferError, match="nothing of it is called backbone"):
         copy_parts(
             {name: torch.zeros(4) for name in ("normalization.mean", "normalization.std")}, RPN(), ["backbone"], ["backbone"]
