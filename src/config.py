@@ -73,7 +73,7 @@ class PrimitiveConfig:
     """Metres from the middle of the open tool to its ends, along the jaws and across: what needs room between the walls."""
     end_effector: dict[str, Any] = field(default_factory=dict)
     lr: float = MISSING
-    """Learning rate of fine-tuning, for every arm alike."""
+    """Learning rate of fine-tuning, for every arm alike; of networks that have none of their own in ``model.rates``."""
     attempts: int = MISSING
     """Fine-tuning attempts of the main job."""
     benchmark_attempts: int = MISSING
@@ -153,7 +153,6 @@ class PathsConfig:
     """Where things are kept."""
 
     cache: str = MISSING
-    output: str = MISSING
 
 
 @dataclass
@@ -212,7 +211,7 @@ def composed(overrides: Sequence[str] = ()) -> DictConfig:
     Raises:
         ConfigError: A key or an option does not exist, with one line.
     """
-    return composed_as_typed(["paths.output=.", *overrides])
+    return composed_as_typed(overrides)
 
 
 def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = False) -> DictConfig:

@@ -115,14 +115,7 @@ class Run:
             return self._keep_vision({"network": self._given(*channel_statistics(collection))})
         if cfg.task.label is None:
             return None
-        keys: dict[str, Any] = {
-            "collection": self._collection_key(cfg.collect.interactions, cfg.collect.per_scene, cfg.collect.seed)
-        }
-        keys |= {**_plain(cfg, "task", "model", "pretrain"), "labels": cfg.labels}
-        keys |= {"trainer": relevant_trainer(cfg), "precision": cfg.precision}
-        keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py", "pipeline.py", "seeding.py")
-        keys |= foreign_code(keys)
-        path = self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
+        path = self.vision_path()
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
         checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
@@ -130,6 +123,18 @@ class Run:
         log.info("pretrain: average precision %.2f on held-out scenes", quality["average_precision"])
         self.progress.set("vision", quality)
         return self._keep_vision(checkpoint)
+
+    def vision_path(self) -> Path:
+        """Where the cache has the vision model: it depends on nothing that a primitive or fine-tuning decides."""
+        cfg = self.cfg
+        keys: dict[str, Any] = {
+            "collection": self._collection_key(cfg.collect.interactions, cfg.collect.per_scene, cfg.collect.seed)
+        }
+        keys |= {**_plain(cfg, "task", "pretrain"), **_plain(cfg.model, "network"), "labels": cfg.labels}
+        keys |= {"trainer": relevant_trainer(cfg), "precision": cfg.precision}
+        keys["code"] = code_hash("modules", "datamodules/labels.py", "datamodules/vision.py", "pipeline.py", "seeding.py")
+        keys |= foreign_code(keys)
+        return self.cache / "vision" / f"{cfg.task.name}-{cfg.model.name}-{content_hash(keys)}.ckpt"
 
     def transfer(self, collection: Collection, vision: dict[str, Any] | None) -> tuple[AffordanceModule, TransferReport]:
         """The affordance model before its first attempt."""

@@ -189,6 +189,15 @@ def test_kill_ends_a_run_promptly_while_it_is_evaluated_too(tmp_path: Path, cach
         process.kill()
 
 
+def test_one_vision_model_serves_both_primitives_however_they_learn(config: Callable, tmp_path: Path) -> None:
+    def kept(*overrides: str) -> Path:
+        return Run(config("task=edge", *overrides), tmp_path).vision_path()
+
+    assert kept("primitive=grasp") == kept("primitive=suction") == kept("primitive.lr=0.1", "finetune.head_lr=0.2")
+    others = {kept(), kept("pretrain.lr=0.1"), kept("model.width=4"), kept("task=corner"), kept("labels=vision")}
+    assert len(others) == 5
+
+
 def test_time_before_an_interruption_counts(config: Callable, tmp_path: Path) -> None:
     job = Run(config(), tmp_path)
 

@@ -16,7 +16,7 @@ from see2act.report.paper import TASKS, TRANSFERS
 from see2act.report.runs import CONFIGURATION, NO_MATTER, PHASES, SPLITS, UNKNOWN, Run, Unfinished, begins, read
 
 SHOWN = (
-    *("model", "objects", "workspace", "camera", "policy", "precision", "robot.motion"),
+    *("model", "objects", "workspace", "workspace.pixel", "camera", "policy", "precision", "robot.motion"),
     *("evaluate.runs", "evaluate.attempts.seen", "evaluate.attempts.unseen", "evaluate.scenes", "finetune.attempts"),
 )
 """What a bench is described by, beside whatever else tells it from the others of its primitive."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import shlex
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -16,6 +15,7 @@ from jinja2 import Environment, StrictUndefined
 from see2act.files import replacing
 from see2act.report import paper
 from see2act.report.benches import Arm, Bench, Found
+from see2act.report.commands import command
 from see2act.report.plots import Picture
 from see2act.report.runs import SPLITS, Run
 from see2act.report.summary import Row, aggregates, comparisons
@@ -135,26 +135,6 @@ def _outcome(run: Run) -> str:
         counts = (f"{'/'.join(map(str, run.counts(phase, split)))} {split}" for split in SPLITS)
         told.append(f"{words} {', '.join(counts)}")
     return "; ".join(told)
-
-
-def command(arm: Arm) -> str:
-    """What to type to run an arm again, with all of its seeds."""
-    typed = {_without_seed(run) for run in arm.runs}
-    if None in typed:
-        return "unknown: .hydra/overrides.yaml is missing"
-    if len(typed) > 1:  # they may differ in what leaves results as they are
-        lines = [_line([*(_without_seed(run) or ()), f"seed={run.seed}"]) for run in arm.runs]
-        return "\n".join(lines)
-    return _line([*(typed.pop() or ()), f"seed={','.join(map(str, arm.seeds))}"])
-
-
-def _without_seed(run: Run) -> tuple[str, ...] | None:
-    return None if run.overrides is None else tuple(o for o in run.overrides if not o.startswith(("seed=", "force=")))
-
-
-def _line(arguments: list[str]) -> str:
-    swept = any(a.startswith("experiment=") or (a.startswith("seed=") and "," in a) for a in arguments)
-    return " ".join(["python train.py", *(["-m"] if swept else []), *map(shlex.quote, arguments)])
 
 
 def seconds(run: Run) -> float:

@@ -13,6 +13,7 @@ import yaml
 from see2act.files import replacing
 from see2act.report import paper
 from see2act.report.benches import ENOUGH, Arm, Bench, Found
+from see2act.report.commands import command_for
 from see2act.report.runs import SPLITS, Run
 from see2act.statistics import (
     improvement,
@@ -168,6 +169,8 @@ def _missing(found: Found) -> list[Row]:
             reason = f"only unfinished runs ({begun})" if begun else "no runs"
             if file := paper.missing_weights(task):
                 reason += f"; weights not here: {file}"
+                if like := [arm for bench in benches if bench.setting["model"] == model for arm in bench.arms]:
+                    reason += f", with which it is `{command_for(task, transfer, like[0])} task.weights={file}`"
             number = paper.UNSEEN[primitive].get(task) if model == "fcn7" and transfer in ("none", "full") else None
             cell = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
             missing.append({**cell, "paper_unseen": _rounded(number)})

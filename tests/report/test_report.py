@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from scipy.stats import t
 from see2act.report import plots
+from see2act.report.commands import command
 from see2act.report.main import ReportError, main, report
-from see2act.report.page import command
 from see2act.statistics import wilson
 from see2act.sweep import link
 
@@ -299,6 +299,21 @@ def test_every_arm_of_the_paper_has_a_row(
     (tmp_path / "torch/hub/checkpoints/resnet50-0676ba61.pth").touch()
     report(runs)
     assert _row(runs, "imagenet", "backbone")["note"] == "no runs"
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_an_arm_whose_weights_are_not_here_has_its_command(
+    make_run: MakeRun, runs: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
+    for seed in (0, 1):
+        make_run("none-none", "grasp", seed=seed, model="rpn_r50_fpn", experiment="off_the_shelf", workspace__pixel=0.0025)
+    report(runs)
+    note = _row(runs, "coco", "fixed", "grasp")["note"]
+    assert note.startswith("no runs; weights not here: fasterrcnn_resnet50_fpn_coco-258fb6c6.pth, with which it is `")
+    typed = "primitive=grasp threads=1 experiment=off_the_shelf workspace.pixel=0.0025 task=coco transfer=fixed seed=0,1"
+    assert note.endswith(f"`python train.py -m {typed} task.weights=fasterrcnn_resnet50_fpn_coco-258fb6c6.pth`")
+    assert note in (runs / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("no_figures")
