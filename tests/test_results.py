@@ -55,14 +55,13 @@ TABLES = {
 
 @pytest.fixture(scope="module", params=TABLES)
 def published(request: pytest.FixtureRequest) -> tuple[list[Cell], dict, dict]:
-    """Cells of an experiment's tables, its arms by primitive and source, and their success on unseen objects by step."""
+    """Cells of an experiment's tables, its arms by primitive and source, and their success by step and split."""
     found = find(RESULTS / request.param)
     arms = {(row["primitive"], (row["task"], row["transfer"])): row for row in summary.rows(found) if row["config_hash"]}
     steps = {
-        (row["primitive"], (row["task"], row["transfer"]), row["step"]): row
+        (row["primitive"], (row["task"], row["transfer"]), row["step"], row["split"]): row
         for bench in found.benches
         for row in summary.progress(bench)
-        if row["split"] == "unseen"
     }
     return TABLES[request.param], arms, steps
 
@@ -78,8 +77,9 @@ def test_every_number_of_the_tables_is_in_the_committed_runs(published: tuple[li
         if cell.column == "while learning":
             row = {part: arm[f"learning_{part}"] for part in summary.PARTS}
         else:
-            step = "0" if cell.column.startswith("before") else cell.column.removeprefix("after ")
-            row = steps[cell.primitive, cell.source, step]
+            when, _, split = cell.column.partition(", ")
+            step = "0" if when.startswith("before") else when.removeprefix("after ")
+            row = steps[cell.primitive, cell.source, step, split or "unseen"]
         match = NUMBERS.fullmatch(cell.text)
         assert match, cell.place
         mean, low, high, successes, attempts = match.groups()
