@@ -400,7 +400,7 @@ def _check_lengths(cfg: DictConfig) -> None:
     for key in ("policy.radius", "policy.changed_radius", "finetune.replay.shift"):
         value = OmegaConf.select(cfg, key)
         if isinstance(value, int | float) and not 0 <= value < most:  # another type is refused with the others
-            raise ConfigError(f"{key}={value} is as large as the bin: it must be in metres, between 0 and {most:g}")
+            raise ConfigError(f"{key}={value} is no length within the bin: it must be in metres, from 0 to below {most:g}")
 
 
 def _check_vision(cfg: DictConfig) -> None:

@@ -116,8 +116,7 @@ class Policy:
 
     def _allowed(self, shape: tuple[int, ...], heightmap: Heightmap) -> np.ndarray:
         self._failures = [f for f in self._failures if not self._changed(f, heightmap)]
-        along, across = self.footprint
-        room = room_between_walls(shape, (along / self.pixel, across / self.pixel))
+        room = room_between_walls(shape, self.footprint, self.pixel)
         allowed = room.copy()
         v, u = np.ogrid[: shape[1], : shape[2]]
         for failure in self._failures:
@@ -139,16 +138,16 @@ class Policy:
         return heightmap.height[rows, cols]
 
 
-def room_between_walls(shape: tuple[int, ...], footprint: tuple[float, float]) -> Bool[np.ndarray, "A H W"]:
+def room_between_walls(shape: tuple[int, ...], footprint: tuple[float, float], pixel: float) -> Bool[np.ndarray, "A H W"]:
     """Where a tool, turned by each angle, stays within the heightmap: its border is where the walls stand.
 
     Args:
         shape: Angles (over half a turn), rows and columns.
-        footprint: As of :class:`Policy`, but in pixels.
+        footprint, pixel: As of :class:`Policy`.
     """
     angles, rows, cols = shape
     room = np.zeros(shape, bool)
-    along, across = footprint
+    along, across = (metres / pixel for metres in footprint)
     for k in range(angles):
         cosine, sine = abs(math.cos(k * math.pi / angles)), abs(math.sin(k * math.pi / angles))
         top, left = (

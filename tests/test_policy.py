@@ -130,8 +130,7 @@ def test_a_gripper_in_the_outermost_pixels_it_may_use_touches_no_wall(make_robot
     robot, cfg = make_robot("primitive=grasp"), composed(["primitive=grasp"])
     robot.reset(0, "seen", count=0)
     heightmap = robot.observe().heightmap
-    along, across = (metres / cfg.workspace.pixel for metres in cfg.primitive.footprint)
-    room = room_between_walls((16, *heightmap.height.shape), (along, across))
+    room = room_between_walls((16, *heightmap.height.shape), build.policy(cfg).footprint, cfg.workspace.pixel)
     for angle in range(0, 16, 3):
         rows, cols = np.nonzero(room[angle])
         for row, col in ((rows.min(), cols.min()), (rows.max(), cols.max()), (rows.min(), cols.max())):

@@ -32,7 +32,8 @@ class TransferReport:
         """One line for people."""
         return (
             f"transfer of {' and '.join(self.parts) or 'nothing'}: {len(self.copied)} keys copied, "
-            f"{len(self.left_at_initialisation)} left at initialisation, {len(self.unused)} in the source but unused"
+            f"{len(self.left_at_initialisation)} left at initialisation, {len(self.set_to_zero)} set to zero, "
+            f"{len(self.unused)} in the source but unused"
         )
 
     def as_dict(self) -> dict[str, object]:

@@ -119,8 +119,7 @@ def predict(
     logits = model.affordances(heightmap.color, heightmap.height)
     allowed = np.broadcast_to((source >= 0) & _risen(view, heightmap), logits.shape)
     if bounds:
-        along, across = model.config.primitive.footprint
-        allowed = allowed & room_between_walls(logits.shape, (along / model.pixel, across / model.pixel))
+        allowed = allowed & room_between_walls(logits.shape, model.config.primitive.footprint, model.pixel)
     logits = np.where(allowed, logits, -np.inf)
     picks = tuple(_pick(view, source, logits, at) for at in _best(logits, count, apart / model.pixel))
     scores = expit(logits.max(axis=0))

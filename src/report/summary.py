@@ -170,7 +170,7 @@ def _missing(found: Found) -> list[Row]:
             if file := paper.missing_weights(task):
                 reason += f"; weights not here: {file}"
                 if like := [arm for bench in benches if bench.setting["model"] == model for arm in bench.arms]:
-                    reason += f", with which it is `{command_for(task, transfer, like[0])} task.weights={file}`"
+                    reason += f", with which it is `{command_for(task, transfer, file, like[0])}`"
             number = paper.UNSEEN[primitive].get(task) if model == "fcn7" and transfer in ("none", "full") else None
             cell = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
             missing.append({**cell, "paper_unseen": _rounded(number)})
