@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 TALLEST = 0.12
 """Metres at the bright end of the height pictures."""
+COLUMN = 2.75
+"""Inches."""
 JAW = 0.043
 """Metres from the middle of the open gripper to a pad."""
 SHOWN = 4
@@ -182,7 +184,7 @@ def strip(attempts: Sequence[Attempt], affordances: Affordances, robot: Robot, t
 
 def labels(collection: Collection, task: Task, means: Means, name: str, count: int, path: Path) -> None:
     """Observations beside their label maps, by both means where they differ."""
-    figure, grid = plt.subplots(count, 4, figsize=(11, 2.9 * count), squeeze=False)
+    figure, grid = plt.subplots(count, 4, figsize=(11, count * _row(collection.arrays["height"].shape[1:])), squeeze=False)
     for axes, i in zip(grid, np.linspace(0, len(collection) - 1, count).astype(int), strict=True):
         view = collection.view(int(i))
         axes[0].imshow(view.sensed.color)
@@ -197,7 +199,7 @@ def labels(collection: Collection, task: Task, means: Means, name: str, count: i
 
 def vision(held_out: Collection, task: Task, means: Means, network: PixelNetwork, count: int, title: str, path: Path) -> None:
     """Held-out observations, their labels, and what the vision model makes of them."""
-    figure, grid = plt.subplots(count, 4, figsize=(11, 2.9 * count), squeeze=False)
+    figure, grid = plt.subplots(count, 4, figsize=(11, count * _row(held_out.arrays["height"].shape[1:])), squeeze=False)
     chosen = np.linspace(0, len(held_out) - 1, count).astype(int)
     scores = network.scores(held_out.arrays["color"][chosen], held_out.arrays["height"][chosen])
     for axes, i, score in zip(grid, chosen, scores, strict=True):
@@ -225,7 +227,9 @@ def heatmaps(robot: Robot, models: dict[str, AffordanceModule], policy: Policy, 
         title: Over the figures.
         folder: Where to.
     """
-    maps, grid = plt.subplots(scenes * 2, 1 + len(models), figsize=(2.9 * (1 + len(models)), 3.3 * scenes * 2), squeeze=False)
+    columns, rows = 1 + len(models), scenes * len(SPLITS)
+    size = (COLUMN * columns, _row(robot.workspace.shape) * rows + 0.3)
+    maps, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
     picks, views = plt.subplots(2, 2, figsize=(11, 7))
     chooser = list(models.values())[-1]
     for row, (split, run) in enumerate((s, r) for s in SPLITS for r in range(scenes)):
@@ -246,6 +250,11 @@ def heatmaps(robot: Robot, models: dict[str, AffordanceModule], policy: Policy, 
     picks.suptitle(title, fontsize=10)
     _save(maps, folder / "heatmaps.png")
     _save(picks, folder / "picks.png")
+
+
+def _row(shape: tuple[int, ...]) -> float:
+    """Inches that a heightmap of this shape takes with its caption, ``COLUMN`` wide."""
+    return COLUMN * shape[0] / shape[1] + 0.15
 
 
 def _picture(axis: Axes, heightmap: Heightmap, pick: Pick, robot: Robot, caption: str) -> None:
