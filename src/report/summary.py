@@ -302,8 +302,9 @@ def write_markdown(lines: list[Row], path: Path) -> None:
     text = ["| primitive | source | transfer | configuration | seeds | paper, unseen | " + " | ".join(SHORT) + " | note |"]
     text.append("|" + "---|" * (text[0].count("|") - 1))
     for row in lines:
-        setting = f"setting {row['setting']}, " if row["setting"] else ""
-        configuration = f"{setting}`{row['config_hash']}` {row['differs']}".strip() if row["config_hash"] else ""
+        setting = f"setting {row['setting']}," if row["setting"] else ""
+        hashed = f"`{row['config_hash']}`" if row["config_hash"] else ""
+        configuration = " ".join(filter(None, (row["model"], setting, hashed, row["differs"])))
         cells = [row["primitive"], row["task"], row["transfer"], configuration, row["seeds"], row["paper_unseen"]]
         cells += [_cell(row, measure) for measure in SHORT.values()] + [row["note"]]
         text.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
