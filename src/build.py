@@ -49,8 +49,9 @@ def check_parts(cfg: DictConfig) -> None:
     import torch  # takes seconds, which --help should not
 
     try:
-        for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
+        for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive", "trainer", "logger"):
             check_arguments(cfg[group], group)
+        check_arguments(cfg.collect.primitive, "collect.primitive")
         robot_factory(cfg, cfg.primitive)().close()
         policy(cfg)
         with torch.device("meta"):  # parameters without values: nothing is drawn from anybody's generator

@@ -8,6 +8,7 @@ import importlib.util
 import logging
 import sys
 from collections.abc import Callable
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +40,20 @@ def foreign_code(node: Any) -> dict[str, str]:
     found = {name: digest for value in node.values() for name, digest in foreign_code(value).items()}
     module = str(node.get("_target_", "")).rpartition(".")[0]
     if module and not module.startswith("see2act."):
-        spec = importlib.util.find_spec(module)
-        if spec and spec.origin and not Path(spec.origin).is_relative_to(sys.prefix):
-            found[module] = hashlib.sha256(_meaning(Path(spec.origin).read_text()).encode()).hexdigest()[:12]
+        spec = _spec(module)
+        if spec and spec.origin and spec.origin.endswith(".py") and not Path(spec.origin).is_relative_to(sys.prefix):
+            found[spec.name] = hashlib.sha256(_meaning(Path(spec.origin).read_text()).encode()).hexdigest()[:12]
     return found
+
+
+def _spec(name: str) -> ModuleSpec | None:
+    """Of the module that a name is in: of ``package.module.Class`` that of ``package.module``."""
+    while name:
+        try:
+            return importlib.util.find_spec(name)
+        except ModuleNotFoundError:
+            name = name.rpartition(".")[0]
+    return None
 
 
 def given_files(config: dict[str, Any]) -> dict[str, Any]:

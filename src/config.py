@@ -6,10 +6,11 @@ import hashlib
 import inspect
 import json
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
@@ -139,13 +140,29 @@ class FinetuneConfig:
 
 
 @dataclass
+class AttemptsConfig:
+    """Attempts of a test run at most, by what it tests."""
+
+    seen: int = MISSING
+    unseen: int = MISSING
+
+
+@dataclass
 class EvaluateConfig:
     """Measuring success."""
 
     runs: int = MISSING
     at: list[int] = MISSING
-    attempts: dict[str, int] = MISSING
+    attempts: AttemptsConfig = field(default_factory=AttemptsConfig)
     scenes: str = MISSING
+
+
+@dataclass
+class FiguresConfig:
+    """Pictures of a run."""
+
+    scenes: int = MISSING
+    """Of each split."""
 
 
 @dataclass
@@ -185,7 +202,7 @@ class Config:
     pretrain: PretrainConfig = field(default_factory=PretrainConfig)
     finetune: FinetuneConfig = field(default_factory=FinetuneConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
-    figures: dict[str, Any] = field(default_factory=dict)
+    figures: FiguresConfig = field(default_factory=FiguresConfig)
     paths: PathsConfig = field(default_factory=PathsConfig)
 
 
@@ -259,8 +276,12 @@ def config_hash(cfg: DictConfig) -> str:
 
 def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:
     """The trainer's keys that can change a result."""
-    deciding = {str(k): v for k, v in cfg.trainer.items() if k not in LOCAL_TRAINER and not str(k).startswith("enable_")}
-    return {k: v for k, v in deciding.items() if (k, v) != ("devices", 1)}  # several share a batch's work, and change it
+    trainer: dict[str, Any] = OmegaConf.to_container(cfg.trainer, resolve=True)  # type: ignore[assignment]
+    deciding = {k: v for k, v in trainer.items() if k not in LOCAL_TRAINER and not k.startswith("enable_")}
+    devices = deciding.get("devices")
+    if devices == 1 or (isinstance(devices, list) and len(devices) == 1):  # several share a batch's work, and change it
+        del deciding["devices"]
+    return deciding
 
 
 def check_arguments(node: Any, path: str) -> None:
@@ -278,15 +299,20 @@ def check_arguments(node: Any, path: str) -> None:
     if "_target_" not in node:
         return
     parameters = inspect.signature(get_object(node._target_)).parameters
+    open_ended = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     for name in map(str, node):
         value: Any = node[name]
         if name.startswith("_"):
             continue
         if name not in parameters:
+            if open_ended:
+                continue
             raise ConfigError(f"{path} has no parameter '{name}': it takes {', '.join(parameters)}")
-        expected = SIMPLE.get(str(parameters[name].annotation))
+        annotation = parameters[name].annotation
+        kind = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
+        expected = SIMPLE.get(kind)
         if expected and (not isinstance(value, expected) or (isinstance(value, bool) and bool not in expected)):
-            raise ConfigError(f"{path}.{name}={value} has the wrong type: it must be {parameters[name].annotation}")
+            raise ConfigError(f"{path}.{name}={value} has the wrong type: it must be {kind}")
 
 
 SIMPLE: dict[str, tuple[type, ...]] = {"int": (int,), "float": (float, int), "bool": (bool,), "str": (str,)}
@@ -297,15 +323,24 @@ def content_hash(data: object) -> str:
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:HASH_LENGTH]
 
 
-def check_keys(cfg: DictConfig) -> None:
+def check_keys(cfg: DictConfig, schema: type = Config, path: str = "") -> None:
     """Refuse keys that nothing reads, which ``+key=value`` lets in.
+
+    Args:
+        cfg: A configuration, or a part of it.
+        schema: The dataclass that it must be.
+        path: Of the part, with a dot at its end.
 
     Raises:
         ConfigError: With the keys that there are.
     """
-    known = Config.__dataclass_fields__
-    if unknown := [str(key) for key in cfg if key not in known]:
-        raise ConfigError(f"there is no configuration key '{unknown[0]}': the keys are {', '.join(known)}")
+    known = get_type_hints(schema)
+    for key in map(str, cfg):
+        if key not in known:
+            where = f" of {path[:-1]}" if path else ""
+            raise ConfigError(f"there is no configuration key '{path}{key}': the keys{where} are {', '.join(known)}")
+        if is_dataclass(known[key]):
+            check_keys(cfg[key], known[key], f"{path}{key}.")
 
 
 def illegal_cell(cfg: DictConfig) -> str | None:
@@ -336,9 +371,17 @@ COUNTS = (
 NOT_NEGATIVE = (
     *("pretrain.lr", "pretrain.weight_decay"),
     *(f"finetune.{key}" for key in ("attempts", "backbone_lr", "head_lr", "weight_decay", "temperature")),
-    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "floor", "turn", "tint")),
+    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "turn", "tint")),
 )
 """Keys that must be at least 0."""
+OVERRULED = {
+    "precision": "use precision=bf16 or precision=fp32",
+    "max_epochs": "use pretrain.epochs and finetune.attempts",
+    "default_root_dir": "use hydra.run.dir=",
+}
+"""The trainer's keys that a run sets itself, and what to type instead."""
+NAMED = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera")
+"""Groups whose names a result has."""
 
 
 def validate(cfg: DictConfig) -> None:
@@ -360,8 +403,16 @@ def validate(cfg: DictConfig) -> None:
 def _check_words(cfg: DictConfig) -> None:
     _choice("labels", cfg.labels, ("truth", "vision"))
     _choice("precision", cfg.precision, ("bf16", "fp32"))
-    if "precision" in cfg.trainer:
-        raise ConfigError("trainer.precision has no effect here: use precision=bf16 or precision=fp32")
+    for key, mend in OVERRULED.items():
+        if key in cfg.trainer:
+            raise ConfigError(f"trainer.{key} has no effect here: {mend}")
+    for group in NAMED:
+        name = OmegaConf.select(cfg, f"{group}.name")
+        if not re.fullmatch(r"\w+", str(name or "")):
+            raise ConfigError(f"{group}.name={name} is no word: use letters, digits and _")
+    for cell in cfg.cells:
+        if not re.fullmatch(r"\w+/\w+/\w+", cell):
+            raise ConfigError(f"cells has '{cell}': each must be primitive/task/transfer, as suction/edge/full")
     _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
     _choice("evaluate.scenes", cfg.evaluate.scenes, ("evaluate", "develop"))
     _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
@@ -381,6 +432,8 @@ def _check_numbers(cfg: DictConfig) -> None:
         _at_least("evaluate.at", step, 0)
     if not 0 <= cfg.finetune.averaging < 1:
         raise ConfigError(f"finetune.averaging={cfg.finetune.averaging} must be at least 0 and below 1: 0 does not average")
+    if not 0 < cfg.finetune.replay.floor < math.inf:
+        raise ConfigError(f"finetune.replay.floor={cfg.finetune.replay.floor} must be above 0, or some are never drawn")
     if not 0 < cfg.finetune.logit_scale < math.inf:
         raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
 

@@ -214,8 +214,16 @@ def vision(held_out: Collection, task: Task, means: Means, network: PixelNetwork
     _save(figure, path)
 
 
-def heatmaps(robot: Robot, models: dict[str, AffordanceModule], policy: Policy, scenes: int, title: str, folder: Path) -> None:
-    """Evaluation scenes through several models, and the last model's pick carried out.
+def heatmaps(
+    robot: Robot,
+    models: dict[str, AffordanceModule],
+    policy: Policy,
+    scenes: int,
+    title: str,
+    folder: Path,
+    kind: str = "evaluate",
+) -> None:
+    """Test scenes through several models, and the last model's pick carried out.
 
     Writes ``heatmaps.png`` and ``picks.png``.
 
@@ -226,6 +234,7 @@ def heatmaps(robot: Robot, models: dict[str, AffordanceModule], policy: Policy, 
         scenes: Of each split.
         title: Over the figures.
         folder: Where to.
+        kind: Whose scenes they are, those of ``evaluate`` or of ``develop``.
     """
     columns, rows = 1 + len(models), scenes * len(SPLITS)
     size = (COLUMN * columns, _row(robot.workspace.shape) * rows + 0.3)
@@ -233,7 +242,7 @@ def heatmaps(robot: Robot, models: dict[str, AffordanceModule], policy: Policy, 
     picks, views = plt.subplots(2, 2, figsize=(11, 7))
     chooser = list(models.values())[-1]
     for row, (split, run) in enumerate((s, r) for s in SPLITS for r in range(scenes)):
-        robot.reset(scene_seed(split, run), split)
+        robot.reset(scene_seed(split, run, kind), split)
         result = attempt(robot, chooser.affordances, policy.fresh())
         heightmap = result.heightmap
         caption = f"{split} objects, pick: {result.outcome.cause}"

@@ -81,7 +81,7 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
             models["fine-tuned"] = tuned.eval()
     robot = build.robot_factory(cfg, cfg.primitive)()
     try:
-        figures.heatmaps(robot, models, build.policy(cfg), scenes, cfg.primitive.name, out)
+        figures.heatmaps(robot, models, build.policy(cfg), scenes, cfg.primitive.name, out, cfg.evaluate.scenes)
     finally:
         robot.close()
     return missing

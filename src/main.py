@@ -175,7 +175,7 @@ def _job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
         note(folder, LEFT_OUT, cell)
         return None
     try:
-        if twin := finished_elsewhere(folder, sweep):
+        if not cfg.force and (twin := finished_elsewhere(folder, sweep)):
             link(twin, folder)
         result = folder / "result.json"
         if not cfg.force and (not of_this_version(result) if result.exists() else _begun_by_another_version(folder)):
@@ -318,6 +318,9 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float:
 def _move_aside(folder: Path, aside: Path) -> None:
     folder.rename(aside)  # in one step: half a run is never left behind
     shutil.copytree(aside / ".hydra", folder / ".hydra")  # Hydra has written this run's already
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, logging.FileHandler) and Path(handler.baseFilename).parent == folder.absolute():
+            handler.close()  # it has gone along: the next line begins a file anew
 
 
 def _report(result: dict[str, Any], folder: Path) -> None:

@@ -201,7 +201,7 @@ class Run:
             models = {f"vision model: {cfg.task.name}": seeing, **models}
         robot = build.robot_factory(cfg, cfg.primitive)()
         try:
-            figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, self._title(), out)
+            figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, self._title(), out, cfg.evaluate.scenes)
         finally:
             robot.close()
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
-from see2act.files import DamagedFile, read_json
+from see2act.files import DamagedFile, read_json, replacing
 from see2act.results import versions
 
 log = logging.getLogger("see2act")
@@ -94,14 +94,15 @@ def _usable(result: Path) -> bool:
 def link(twin: Path, folder: Path) -> None:
     """Make everything a finished run left appear in ``folder`` too.
 
-    By hard links, which take no room and last when the other run is moved aside or deleted.
+    By hard links, which take no room and last when the other run is moved aside or deleted. What was cut short is linked anew.
     """
-    for path in sorted(twin.iterdir(), key=lambda path: path.name == "result.json"):  # which means done, so it comes last
+    # A result means done, so it comes after all that belongs to it; run.json alone would mean half a run.
+    for path in sorted(twin.iterdir(), key=lambda path: (path.name == "run.json", path.name == "result.json")):
         there = folder / path.name
-        if path.name.startswith(".") or path.name in TOLD or there.exists():
+        if path.name.startswith(".") or path.name in TOLD:
             continue
         if path.is_dir():
-            shutil.copytree(path, there, copy_function=_share)
+            shutil.copytree(path, there, copy_function=_share, dirs_exist_ok=True)
         else:
             _share(path, there)
     log.info("the same run is finished in %s: linked, not run again", twin)
@@ -110,8 +111,11 @@ def link(twin: Path, folder: Path) -> None:
 def _share(path: str | Path, there: str | Path) -> None:
     try:
         os.link(path, there)
+    except FileExistsError:
+        return
     except OSError:  # a file system without hard links
-        shutil.copy2(path, there)
+        with replacing(Path(there)) as partial:
+            shutil.copy2(path, partial)
 
 
 def of_this_version(result: Path) -> bool:

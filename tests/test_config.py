@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+import logging
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,7 +18,7 @@ from see2act.config import ConfigError, composed, config_hash, illegal_cell, val
 from see2act.files import DamagedFile
 from see2act.main import _alone, _check, _check_sweep, _job, _move_aside, _set_aside, identity, refuse_foreign, run
 from see2act.results import versions
-from see2act.sweep import FAILED, OTHER, Summary, finished_elsewhere
+from see2act.sweep import FAILED, OTHER, Summary, finished_elsewhere, link
 
 TRAIN = Path(__file__).parents[1] / "train.py"
 EXPERIMENTS = TRAIN.parent / "conf" / "experiment"
@@ -72,7 +74,8 @@ def test_design_numbers_are_the_defaults(config: Callable) -> None:
 def test_hash_is_of_what_changes_results(config: Callable) -> None:
     base = config_hash(config())
     assert len(base) == 12
-    for same in ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true", "robot.video=true"):
+    local = ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true", "robot.video=true")
+    for same in (*local, "trainer.devices=[0]"):
         assert config_hash(config(same)) == base
     for other in (
         "task=corner",
@@ -81,6 +84,8 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         "policy=argmax",
         "collect.interactions=301",
         "+trainer.gradient_clip_val=1.0",
+        "trainer.devices=2",
+        "trainer.devices=[0,1]",
     ):
         assert config_hash(config(other)) != base
 
@@ -121,6 +126,17 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("task.weights=nowhere.ckpt", ["nowhere.ckpt", "no file"]),
         ("evaluate.runs=0", ["evaluate.runs=0"]),
         ("+sed=3", ["no configuration key 'sed'", "seed"]),
+        ("+evaluate.attempts.unseeen=5", ["unseeen"]),
+        ("+figures.scens=3", ["scens"]),
+        ("+finetune.attemps=3", ["finetune.attemps", "averaging"]),
+        ("+collect.primitive.lrr=3", ["collect.primitive.lrr", "end_effector"]),
+        ("+trainer.gradient_clip=1", ["trainer has no parameter 'gradient_clip'", "gradient_clip_val"]),
+        ("+trainer.max_epochs=50", ["trainer.max_epochs has no effect", "pretrain.epochs"]),
+        ("logger.offline=maybe", ["logger.offline=maybe", "must be bool"]),
+        ("collect.primitive.end_effector.depth=abc", ["collect.primitive.end_effector.depth=abc", "must be float"]),
+        ("objects.name=my-parts", ["objects.name=my-parts", "letters, digits and _"]),
+        ("cells=[suction/edge]", ["'suction/edge'", "primitive/task/transfer"]),
+        ("finetune.replay.floor=0", ["finetune.replay.floor=0", "above 0"]),
         ("finetune.attempts=abc", ["finetune.attempts=abc", "could not be converted to Integer"]),
         ("experiment=smoke", ["experiment=smoke is a sweep", "add -m"]),
     ],
@@ -184,6 +200,33 @@ def test_damage_in_a_job_s_folder_is_named_and_ends_that_job_alone(config: Calla
     with pytest.raises(DamagedFile, match=r"run\.json is damaged"):
         refuse_foreign(folder, cfg)
     assert finished_elsewhere(tmp_path / "sweep" / "seed3" / "new", tmp_path / "sweep") is None
+
+
+@pytest.mark.parametrize("shared", range(5))
+def test_a_link_that_was_cut_short_is_made_anew(shared: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    twin, folder = tmp_path / "other" / "seed3", tmp_path / "sweep" / "seed3"
+    (twin / "checkpoints").mkdir(parents=True)
+    files = ("run.json", "attempts.csv", "checkpoints/last.ckpt", "checkpoints/model.safetensors")
+    for name in files:
+        (twin / name).write_text(name)
+    (twin / "result.json").write_text(json.dumps({"versions": versions()}))
+    folder.mkdir(parents=True)
+    left = iter(range(shared))
+
+    def cut(path: Path, there: Path) -> None:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        os.link(path, there)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("see2act.sweep._share", cut)
+        with pytest.raises(KeyboardInterrupt):
+            link(twin, folder)
+    if not (folder / "result.json").exists():  # else it counts as finished
+        assert finished_elsewhere(folder, tmp_path / "sweep") == twin
+    link(twin, folder)
+    assert [(folder / name).read_text() for name in files] == list(files)
+    assert (folder / "result.json").samefile(twin / "result.json")
 
 
 def test_half_a_run_of_another_version_is_named_and_left(config: Callable, tmp_path: Path) -> None:
@@ -272,6 +315,22 @@ def test_force_keeps_the_earlier_run(tmp_path: Path) -> None:
     _move_aside(folder, tmp_path / "seed0.before")
     assert [item.name for item in folder.iterdir()] == [".hydra"]
     assert {item.name for item in (tmp_path / "seed0.before").iterdir()} == {".hydra", "figures", "result.json"}
+
+
+def test_force_begins_a_log_anew(tmp_path: Path) -> None:
+    folder = tmp_path / "seed0"
+    (folder / ".hydra").mkdir(parents=True)
+    handler = logging.FileHandler(folder / "train.log")  # as Hydra has opened it
+    logging.getLogger().addHandler(handler)
+    try:
+        logging.getLogger("see2act").warning("before")
+        _move_aside(folder, tmp_path / "seed0.before")
+        logging.getLogger("see2act").warning("after")
+    finally:
+        logging.getLogger().removeHandler(handler)
+        handler.close()
+    assert (folder / "train.log").read_text() == "after\n"
+    assert (tmp_path / "seed0.before" / "train.log").read_text() == "before\n"
 
 
 def test_help_does_not_wait_for_torch() -> None:

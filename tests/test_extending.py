@@ -60,6 +60,8 @@ def test_the_hash_knows_code_from_elsewhere(tmp_path: Path, monkeypatch: pytest.
         "group": [{"_target_": "elsewhere.Thing"}],
         "ours": {"_target_": "see2act.policy.Policy"},
         "torch": {"_target_": "torch.nn.ReLU"},
+        "builtin": {"_target_": "builtins.dict"},
+        "method": {"_target_": "elsewhere.Thing.make"},
     }
     before = foreign_code(node)
     assert set(before) == {"elsewhere"}

@@ -58,13 +58,17 @@ class Task(ABC):
         """A length in whole pixels, at least 1."""
         return max(1, round(metres / self.pixel))
 
+    def window(self, metres: float) -> int:
+        """The same of a window that has a pixel in its middle: an odd number."""
+        return self.pixels(metres) // 2 * 2 + 1
+
 
 class Edge(Task):
     """Edges of the colour image by Canny, in any of its channels: a green object can be as bright as the grey floor.
 
     Args:
         pixel: Metres a pixel.
-        low, high: Canny's hysteresis thresholds, grey levels per pixel.
+        low, high: Canny's hysteresis thresholds, of 3 x 3 Sobel sums: 8 times the grey levels a pixel.
         blur: Standard deviation of the Gaussian before it, pixels.
     """
 
@@ -110,7 +114,7 @@ class Corner(Task):
 
     def _harris(self, heightmap: Heightmap) -> np.ndarray:
         channels = cv2.split(heightmap.color.astype(np.float32))
-        response = np.max([cv2.cornerHarris(channel, self.pixels(self._window), 3, self._k) for channel in channels], axis=0)
+        response = np.max([cv2.cornerHarris(channel, self.window(self._window), 3, self._k) for channel in channels], axis=0)
         size = 2 * self.pixels(self._radius) + 1
         peak = (response == ndimage.maximum_filter(response, size)) & (response > self._threshold * response.max())
         return discs(np.argwhere(peak), peak.shape, self.pixels(self._radius))
@@ -139,7 +143,7 @@ class Foreground(Task):
         # Where one of the two views is hidden its colour is made up, and only the height can tell.
         seen = view.sensed.valid & view.background.valid
         painted = (np.linalg.norm(difference, axis=-1) > self._color) & seen
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (self.pixels(self._opening),) * 2)
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (self.window(self._opening),) * 2)
         return cv2.morphologyEx((higher | painted).astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
 
 

@@ -62,7 +62,10 @@ class Rotations:
         side = math.hypot(*shape)
         height, width = (math.ceil((n if count == 1 else side) / stride) * stride for n in shape)
         self.canvas = (height, width)
-        self._grid = sampling_grid(self.angles, shape, self.canvas)
+        # Of the heightmap on the canvas. Not the canvas' own centre: that lies half a pixel beside it where a side is odd.
+        self._centre = torch.tensor([(n - 1) / 2 + (side - n) // 2 for n, side in zip(shape, self.canvas, strict=True)])
+        beside = (torch.tensor(self.canvas) - 1) / 2 - self._centre
+        self._grid = sampling_grid(self.angles, shape, self.canvas, beside.expand(count, 2))
         self._rows, self._cols = self._forward_index()
 
     def all(self, x: Float[Tensor, "1 4 H W"]) -> Float[Tensor, "A 4 h w"]:
@@ -129,7 +132,7 @@ class Rotations:
     ) -> Float[Tensor, "B h w 2"]:
         """Of windows of ``size`` at ``corner`` of the canvas, turned about their ``pixel`` and shifted."""
         within = pixel - (torch.tensor(size) - 1) / 2
-        v, u = (pixel + corner - (torch.tensor(self.canvas) - 1) / 2 + shift).T
+        v, u = (pixel + corner - self._centre + shift).T
         c, s = torch.cos(turn), torch.sin(turn)
         there = torch.stack([c * v + s * u, c * u - s * v], dim=1)
         return sampling_grid(self.angles[angle] + turn, self.shape, size, there - within)
@@ -138,8 +141,8 @@ class Rotations:
         v = torch.arange(self.shape[0])[None, :, None] - (self.shape[0] - 1) / 2
         u = torch.arange(self.shape[1])[None, None, :] - (self.shape[1] - 1) / 2
         c, s = torch.cos(self.angles)[:, None, None], torch.sin(self.angles)[:, None, None]
-        rows = s * u + c * v + (self.canvas[0] - 1) / 2
-        cols = c * u - s * v + (self.canvas[1] - 1) / 2
+        rows = s * u + c * v + self._centre[0]
+        cols = c * u - s * v + self._centre[1]
         return (
             rows.round().long().clamp(0, self.canvas[0] - 1),
             cols.round().long().clamp(0, self.canvas[1] - 1),

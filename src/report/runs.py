@@ -28,6 +28,8 @@ CONDITIONS = (
     *("primitive.angles", "primitive.footprint", "primitive.end_effector", "evaluate.attempts", "evaluate.scenes"),
 )
 """Beginnings of the keys that two runs must share before their success may be compared."""
+LEARNING = ("model.rates",)
+"""Those that are how an arm learns, and not how it is tested."""
 NO_MATTER = ("hydra", *LOCAL, *(f"trainer.{key}" for key in LOCAL_TRAINER), "trainer.enable_", "collect.workers", "robot.video")
 """Beginnings of the keys that leave results as they are."""
 NAMED = ("model", "objects", "workspace", "camera", "policy", "precision")
@@ -91,6 +93,7 @@ class Unfinished:
     primitive: str
     task: str
     transfer: str
+    model: str
     seed: str
     state: str
 
@@ -270,7 +273,9 @@ def attempts_of(folder: Path) -> Path | None:
 def _setting(result: dict[str, Any], config: DictConfig | None) -> dict[str, str]:
     """Everything that two runs must share before their success may be compared."""
     choices = result["choices"]
-    conditions = {k.removesuffix(".name"): v for k, v in _flat(config).items() if begins(k, CONDITIONS)}
+    conditions = {
+        k.removesuffix(".name"): v for k, v in _flat(config).items() if begins(k, CONDITIONS) and not begins(k, LEARNING)
+    }
     setting = {
         **{key: value for key, value in conditions.items() if not begins(key, NO_MATTER)},
         **{key: str(choices.get(key, UNKNOWN)) for key in NAMED},
@@ -296,7 +301,7 @@ def begins(key: str, beginnings: Iterable[str]) -> bool:
 
 def _unfinished(folder: Path, place: str) -> Unfinished:
     config = _config(folder) or OmegaConf.create()
-    names = {key: _chosen(config, f"{key}.name") for key in ("primitive", "task", "transfer")}
+    names = {key: _chosen(config, f"{key}.name") for key in ("primitive", "task", "transfer", "model")}
     seed, most = _chosen(config, "seed"), _chosen(config, "finetune.attempts")
     if path := attempts_of(folder):
         try:

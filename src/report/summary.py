@@ -165,15 +165,16 @@ def _missing(found: Found) -> list[Row]:
         for task, transfer, model in dict.fromkeys([*paper.expected(primitive), *_of_experiments(benches, primitive)]):
             if (task, transfer, model) in there:
                 continue
-            begun = sum((u.task, u.transfer) == (task, transfer) and _same(u.primitive, primitive) for u in found.unfinished)
+            cell = (task, transfer, model)
+            begun = sum((u.task, u.transfer, u.model) == cell and _same(u.primitive, primitive) for u in found.unfinished)
             reason = f"only unfinished runs ({begun})" if begun else "no runs"
             if file := paper.missing_weights(task):
                 reason += f"; weights not here: {file}"
                 if like := [arm for bench in benches if bench.setting["model"] == model for arm in bench.arms]:
                     reason += f", with which it is `{command_for(task, transfer, file, like[0])}`"
             number = paper.UNSEEN[primitive].get(task) if model == "fcn7" and transfer in ("none", "full") else None
-            cell = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
-            missing.append({**cell, "paper_unseen": _rounded(number)})
+            row = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
+            missing.append({**row, "paper_unseen": _rounded(number)})
     return missing
 
 

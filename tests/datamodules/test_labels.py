@@ -8,6 +8,7 @@ from scipy import ndimage
 from see2act import build
 from see2act.datamodules.labels import View, plane_fit
 from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import Heightmap
 
 TASKS = ("edge", "corner", "center", "foreground", "normal")
 
@@ -43,6 +44,19 @@ def test_foreground_by_vision_agrees_with_truth(config: Callable, views: list) -
     for view, _ in views:
         truth, vision = (_label(config, "foreground", view, means) for means in ("truth", "vision"))
         assert (truth & vision).sum() / (truth | vision).sum() >= 0.85
+
+
+@pytest.mark.parametrize("pixel", [0.0025, 0.00125])
+def test_foreground_and_corners_by_vision_are_not_shifted(config: Callable, pixel: float) -> None:
+    color, height = np.zeros((60, 60, 3), np.uint8), np.zeros((60, 60), np.float32)
+    empty = Heightmap(color, height, np.ones((60, 60), bool))
+    square = np.zeros((60, 60), bool)
+    square[20:40, 20:40] = True
+    sensed = Heightmap(color + 200 * square[..., None].astype(np.uint8), height + 0.03 * square.astype(np.float32), empty.valid)
+    view = View(sensed, sensed, np.where(square, 0, -1), empty)
+    for task in ("foreground", "corner"):
+        label = build.task(config(f"task={task}", f"workspace.pixel={pixel}")).label(view, "vision")
+        assert np.argwhere(label).mean(0) == pytest.approx((29.5, 29.5)), task
 
 
 def test_a_center_for_every_visible_object(config: Callable, views: list) -> None:

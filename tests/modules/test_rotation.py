@@ -49,12 +49,26 @@ def test_rotate_and_back(k: int, row: int, col: int) -> None:
     assert turned[k, 3, i, j] == 1
 
 
-def test_a_single_angle_changes_nothing() -> None:
-    suction = Rotations((144, 144), 1, 4)
-    x = torch.randn(1, 4, 144, 144)
-    assert torch.allclose(suction.all(x), x, atol=1e-3)  # bilinear weights are 1 but for rounding
-    maps = torch.randn(1, 1, 144, 144)
-    assert torch.equal(suction.back(maps)[0], maps[0, 0])
+@pytest.mark.parametrize("shape", [(144, 144), (145, 142), (143, 145)])
+@pytest.mark.parametrize("count", [1, 16])
+def test_the_first_angle_changes_nothing(shape: tuple[int, int], count: int) -> None:
+    rotations = Rotations(shape, count, 4)
+    x = torch.randn(1, 4, *shape)
+    turned = rotations.all(x)[:1]
+    back = torch.cat([rotations.back(turned[:, i : i + 1].expand(count, -1, -1, -1))[:1] for i in range(4)])
+    assert torch.allclose(back, x[0], atol=1e-3)  # bilinear weights are 1 but for rounding
+
+
+@pytest.mark.parametrize("shape", [(144, 144), (145, 143)])
+def test_a_window_of_odd_heightmaps_is_the_canvas_there(shape: tuple[int, int]) -> None:
+    rotations = Rotations(shape, 16, 4)
+    x = torch.randn(16, 4, *shape)
+    angle, row, col = torch.arange(16), torch.arange(16) * 4 + 40, torch.arange(16) * 3 + 50
+    window, rows, cols = rotations.window(x, angle, row, col, 8)
+    whole = rotations.turned(x, angle)
+    i, j = rotations.locate(angle, row, col)
+    # Colour; of two heights equally near either may be taken.
+    assert torch.allclose(window[range(16), :3, rows, cols], whole[range(16), :3, i, j], atol=1e-3)
 
 
 def test_resampling_agrees_with_an_exact_quarter_turn() -> None:

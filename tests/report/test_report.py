@@ -198,6 +198,14 @@ def test_arms_that_differ_in_more_than_transfer_are_said(make_run: MakeRun, runs
 
 
 @pytest.mark.usefixtures("no_figures")
+def test_arms_that_learn_at_other_rates_are_compared(make_run: MakeRun, runs: Path) -> None:
+    make_run("none-none", config_hash="aaaaaaaaaaaa", model__rates__head=1e-4)
+    make_run("normal-full", config_hash="bbbbbbbbbbbb", model__rates__head=3e-4)
+    report(runs)
+    assert [row["setting"] for row in _table(runs) if row["config_hash"]] == ["", ""]
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_a_run_that_is_there_twice_counts_once(make_run: MakeRun, runs: Path) -> None:
     make_run(unseen=[(5, 10), (5, 10)])
     make_run(unseen=[(9, 10), (9, 10)], name="seed0.20200101-000000")
