@@ -49,9 +49,8 @@ def check_parts(cfg: DictConfig) -> None:
     import torch  # takes seconds, which --help should not
 
     try:
-        for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive", "trainer", "logger"):
+        for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
             check_arguments(cfg[group], group)
-        check_arguments(cfg.collect.primitive, "collect.primitive")
         robot_factory(cfg, cfg.primitive)().close()
         policy(cfg)
         with torch.device("meta"):  # parameters without values: nothing is drawn from anybody's generator
@@ -59,6 +58,17 @@ def check_parts(cfg: DictConfig) -> None:
     except (RobotError, HydraException, OmegaConfBaseException) as error:
         cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
         raise ConfigError(one_line(cause)) from None
+
+
+def check_run(cfg: DictConfig) -> None:
+    """The same, and what a run alone needs; apart, since Lightning takes seconds that a robot by itself need not wait for.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    check_parts(cfg)
+    for group in ("trainer", "logger", "collect.primitive"):
+        check_arguments(OmegaConf.select(cfg, group), group)
 
 
 def policy(cfg: DictConfig) -> Policy:

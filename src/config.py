@@ -380,8 +380,10 @@ OVERRULED = {
     "default_root_dir": "use hydra.run.dir=",
 }
 """The trainer's keys that a run sets itself, and what to type instead."""
-NAMED = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera")
+CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
 """Groups whose names a result has."""
+WORD = r"\w+"
+"""What such a name must match."""
 
 
 def validate(cfg: DictConfig) -> None:
@@ -406,12 +408,12 @@ def _check_words(cfg: DictConfig) -> None:
     for key, mend in OVERRULED.items():
         if key in cfg.trainer:
             raise ConfigError(f"trainer.{key} has no effect here: {mend}")
-    for group in NAMED:
+    for group in CHOICES:
         name = OmegaConf.select(cfg, f"{group}.name")
-        if not re.fullmatch(r"\w+", str(name or "")):
+        if not re.fullmatch(WORD, str(name or "")):
             raise ConfigError(f"{group}.name={name} is no word: use letters, digits and _")
     for cell in cfg.cells:
-        if not re.fullmatch(r"\w+/\w+/\w+", cell):
+        if not re.fullmatch(f"{WORD}/{WORD}/{WORD}", cell):
             raise ConfigError(f"cells has '{cell}': each must be primitive/task/transfer, as suction/edge/full")
     _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
     _choice("evaluate.scenes", cfg.evaluate.scenes, ("evaluate", "develop"))

@@ -113,7 +113,7 @@ def _check(overrides: list[str]) -> None:
         validate(plain)
     except OmegaConfBaseException as error:
         raise ConfigError(one_line(error)) from None
-    build.check_parts(plain)
+    build.check_run(plain)
     _check_writable(folder)
     _check_writable(Path(plain.paths.cache))
     refuse_foreign(folder, plain)
@@ -197,7 +197,7 @@ def _checked(cfg: DictConfig, folder: Path) -> float:
     from see2act import build
 
     validate(cfg)
-    build.check_parts(cfg)
+    build.check_run(cfg)
     return run(cfg, folder)
 
 

@@ -19,7 +19,7 @@ from see2act import build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, foreign_code, given_files, once
-from see2act.config import config_hash, content_hash, relevant_trainer
+from see2act.config import CHOICES, config_hash, content_hash, relevant_trainer
 from see2act.dashboard import Dashboard
 from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
@@ -413,10 +413,7 @@ class Run:
         steps = sorted(int(name.removeprefix("eval_")) for name in done if name.startswith("eval_") and name != "eval_argmax")
         final = done[f"eval_{self.attempts}"]
         result = {
-            "choices": {
-                key: cfg[key].name
-                for key in ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
-            }
+            "choices": {key: cfg[key].name for key in CHOICES}
             | {"labels": cfg.labels, "seed": cfg.seed, "precision": cfg.precision, "motion": cfg.robot.get("motion")},
             "config_hash": config_hash(cfg),
             "versions": versions(),

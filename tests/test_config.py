@@ -135,6 +135,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("logger.offline=maybe", ["logger.offline=maybe", "must be bool"]),
         ("collect.primitive.end_effector.depth=abc", ["collect.primitive.end_effector.depth=abc", "must be float"]),
         ("objects.name=my-parts", ["objects.name=my-parts", "letters, digits and _"]),
+        ("policy.name=my-rule", ["policy.name=my-rule", "letters, digits and _"]),
         ("cells=[suction/edge]", ["'suction/edge'", "primitive/task/transfer"]),
         ("finetune.replay.floor=0", ["finetune.replay.floor=0", "above 0"]),
         ("finetune.attempts=abc", ["finetune.attempts=abc", "could not be converted to Integer"]),

@@ -14,7 +14,7 @@ from typing import Any, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from see2act import attempts_csv
-from see2act.config import LOCAL, LOCAL_TRAINER
+from see2act.config import CHOICES, LOCAL, LOCAL_TRAINER, WORD
 from see2act.robot.types import Split
 from tqdm import tqdm
 from yaml import YAMLError
@@ -172,7 +172,7 @@ def check(result: Any) -> None:
         LookupError, TypeError, AttributeError: Something is missing, or of the wrong kind.
     """
     choices = result["choices"]
-    if not all(re.fullmatch(r"\w+", choices[key]) for key in ("task", "transfer", "primitive", *NAMED[:5])):
+    if not all(re.fullmatch(WORD, choices[key]) for key in CHOICES):
         raise BrokenRun("choices are no words")
     if not isinstance(choices["seed"], int):
         raise BrokenRun(f"seed {choices['seed']} is no number")
