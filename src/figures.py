@@ -34,8 +34,6 @@ TALLEST = 0.12
 """Metres at the bright end of the height pictures."""
 COLUMN = 2.75
 """Inches."""
-JAW = 0.043
-"""Metres from the middle of the open gripper to a pad."""
 SHOWN = 4
 """Failures of a cause."""
 BAND = 8
@@ -271,8 +269,8 @@ def _picture(axis: Axes, heightmap: Heightmap, pick: Pick, robot: Robot, caption
     axis.imshow(heightmap.color)
     axis.set_title(caption, fontsize=9)
     axis.plot(pick.col, pick.row, "o", color="white", markeredgecolor="black", markersize=6)
-    if robot.primitive == "grasp":
-        reach = JAW / robot.workspace.pixel
+    if robot.half_opening:
+        reach = robot.half_opening / robot.workspace.pixel
         du, dv = reach * math.cos(pick.angle), -reach * math.sin(pick.angle)
         axis.plot([pick.col - du, pick.col + du], [pick.row - dv, pick.row + dv], "-", color="white", linewidth=2.5)
     axis.set_xlim(-0.5, heightmap.height.shape[1] - 0.5)

@@ -1,11 +1,16 @@
 from __future__ import annotations
 
 import csv
+import math
+from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
 from see2act import figures
 from see2act.attempts_csv import COLUMNS
+from see2act.robot.robot import SimulatedRobot
+from see2act.robot.types import Pick
 
 
 def _row(step: int, score: float, success: int, **more: object) -> dict[str, str]:
@@ -51,3 +56,20 @@ def test_learning_is_diagnosed_also_where_all_attempts_end_alike(tmp_path: Path,
         writer.writerows(_row(i + 1, 0.02 * i, 0, episode=i // 10) for i in range(learned))
     figures.diagnosis(tmp_path / "attempts.csv", tmp_path / "diagnosis.png", "a run")
     assert (tmp_path / "diagnosis.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(("primitive", "millimetres"), [("grasp", 86), ("grasp_rg2", 110), ("suction", None)])
+def test_the_line_of_a_grasp_is_as_long_as_its_gripper_opens(
+    make_robot: Callable[..., SimulatedRobot], primitive: str, millimetres: int | None
+) -> None:
+    robot = make_robot(f"primitive={primitive}")
+    heightmap = robot.background()
+    _, axis = plt.subplots()
+    figures._picture(axis, heightmap, Pick(30, 20, math.pi / 4, 0.0, 0.0, 0.0), robot, "")
+    lines = [line.get_xydata() for line in axis.lines if len(line.get_xydata()) == 2]
+    assert len(lines) == (millimetres is not None)
+    if millimetres:
+        (x0, y0), (x1, y1) = lines[0]
+        length = math.hypot(x1 - x0, y1 - y0) * robot.workspace.pixel * 1000
+        assert length == pytest.approx(millimetres, abs=2)
+        assert (x1 > x0) == (y1 < y0)  # up in the image is y of the world

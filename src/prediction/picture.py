@@ -9,8 +9,6 @@ import numpy as np
 from jaxtyping import UInt8
 from see2act.prediction.predict import Prediction, ScoredPick
 
-JAW = 0.04
-"""Metres from the middle of a grasp to each end of the line that shows along what the jaws close."""
 SHARE = 0.45
 """Of the heatmap in a picture's colour."""
 MARK = (255, 255, 255)
@@ -33,7 +31,7 @@ def picture(color: UInt8[np.ndarray, "h w 3"], prediction: Prediction) -> UInt8[
     for number, pick in enumerate(prediction.picks, start=1):
         along = None
         if pick.angle is not None:
-            reach = JAW / prediction.workspace.pixel * factor
+            reach = prediction.footprint[0] / prediction.workspace.pixel * factor
             along = np.array([math.cos(pick.angle), -math.sin(pick.angle)]) * reach
         _mark(above, (round((pick.col + 0.5) * factor), round((pick.row + 0.5) * factor)), number, along)
     return np.concatenate([image, above], axis=1)
@@ -47,11 +45,11 @@ def _heated(color: np.ndarray, scores: np.ndarray) -> np.ndarray:
 
 
 def _direction_in_image(pick: ScoredPick, prediction: Prediction) -> np.ndarray | None:
-    """Pixels from the pick to where the jaws begin."""
+    """Pixels from the pick to where a jaw ends."""
     if pick.angle is None:
         return None
     rotation = prediction.pose[:3, :3]
-    way = rotation.T @ np.array([math.cos(pick.angle), math.sin(pick.angle), 0]) * JAW
+    way = rotation.T @ np.array([math.cos(pick.angle), math.sin(pick.angle), 0]) * prediction.footprint[0]
     start = np.array(pick.position_camera)
     return _pinhole(start + way, prediction) - _pinhole(start, prediction)
 

@@ -59,6 +59,8 @@ class Prediction:
     origin: Float[np.ndarray, "3"]
     """The world's position of the grid's origin: the middle of the bounds, on the floor."""
     primitive: str
+    footprint: tuple[float, float]
+    """Metres from a pick to the outer ends of the open tool, along the pick's angle and across."""
 
 
 def predict(
@@ -118,12 +120,24 @@ def predict(
     source[cells[0], cells[1]] = cells[2]
     logits = model.affordances(heightmap.color, heightmap.height)
     allowed = np.broadcast_to((source >= 0) & _risen(view, heightmap), logits.shape)
+    along, across = model.config.primitive.footprint
     if bounds:
-        allowed = allowed & room_between_walls(logits.shape, model.config.primitive.footprint, model.pixel)
+        allowed = allowed & room_between_walls(logits.shape, (along, across), model.pixel)
     logits = np.where(allowed, logits, -np.inf)
     picks = tuple(_pick(view, source, logits, at) for at in _best(logits, count, apart / model.pixel))
     scores = expit(logits.max(axis=0))
-    return Prediction(picks, heightmap, scores, source, view.pose, intrinsics, view.workspace, view.origin, model.primitive)
+    return Prediction(
+        picks=picks,
+        heightmap=heightmap,
+        scores=scores,
+        source=source,
+        pose=view.pose,
+        intrinsics=intrinsics,
+        workspace=view.workspace,
+        origin=view.origin,
+        primitive=model.primitive,
+        footprint=(along, across),
+    )
 
 
 def _risen(view: View, heightmap: Heightmap) -> Bool[np.ndarray, "H W"]:

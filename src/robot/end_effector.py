@@ -18,6 +18,8 @@ class EndEffector(ABC):
     """The motion primitive it executes."""
     contact_limit: float
     """Newtons on the tool at which a descent stops."""
+    half_opening: float = 0.0
+    """Metres from its middle to each jaw while they are open; 0 where it has none."""
 
     @abstractmethod
     def urdf(self) -> ET.Element:

@@ -69,6 +69,7 @@ class Gripper(EndEffector):
         self._friction = friction
         self.contact_limit = contact_limit
         self.size = size
+        self.half_opening = self.opening(0.0) / 2
 
     def urdf(self) -> ET.Element:
         return urdf.robotiq(self.size)

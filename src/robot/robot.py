@@ -36,6 +36,8 @@ class Robot(ABC):
 
     workspace: Workspace
     primitive: str
+    half_opening: float = 0.0
+    """Metres from a pick to each open jaw, along the pick's angle; 0 where the tool has none. For pictures."""
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
@@ -130,6 +132,7 @@ class SimulatedRobot(Robot):
             raise RobotError(f"robot.motion={motion} is unknown: choose one of {', '.join(MOTIONS)}")
         self.workspace = workspace
         self.primitive = end_effector.primitive
+        self.half_opening = end_effector.half_opening
         self.camera = camera
         self.tool = end_effector
         self._config = arm

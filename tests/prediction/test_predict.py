@@ -158,6 +158,7 @@ def test_jaws_close_across_a_bar(degrees: float, config: Callable[..., DictConfi
     direction = _direction_in_image(found.picks[0], found)
     assert direction is not None
     assert np.degrees(np.arctan2(-direction[1], direction[0])) % 180 == pytest.approx(angle, abs=0.5)
+    assert np.hypot(*direction) == pytest.approx(0.065 * 1000 / 0.96, rel=0.05)  # to the outer end of the open jaw
 
 
 def test_bounds_away_from_the_middle_move_the_heightmap_and_not_the_world(

@@ -83,6 +83,7 @@ def test_a_ray_meets_the_floor_where_the_camera_says(robot: SimulatedRobot) -> N
 def test_the_wide_gripper_opens_as_far_as_an_rg2_and_picks(make_robot: Callable[..., SimulatedRobot]) -> None:
     robot = make_robot("workspace=grasp_rg2_real", "primitive=grasp_rg2", *REAL)
     assert robot.tool.opening(0.0) == pytest.approx(0.110, abs=0.002)
+    assert robot.half_opening == pytest.approx(0.055, abs=0.001)
     robot._build()
     robot._noise = np.random.default_rng(0)
     robot.scene._add("apple", 1.1, (0.15, 0.1, 0.05), np.array([0.0, 0.0, 0.0, 1.0]), (1.0, 0.2, 0.2))
