@@ -146,7 +146,8 @@ def failures(failed: list[Attempt], affordances: Affordances, robot: Robot, titl
     for one in failed:
         by_cause.setdefault(one.outcome.cause, []).append(one)
     pairs = min(SHOWN, max(len(attempts) for attempts in by_cause.values()))
-    figure, grid = plt.subplots(len(by_cause), 2 * pairs, figsize=(5 * pairs, 0.6 + 2.8 * len(by_cause)), squeeze=False)
+    size = (COLUMN * 2 * pairs, _row(robot.workspace.shape) * len(by_cause) + 0.3)
+    figure, grid = plt.subplots(len(by_cause), 2 * pairs, figsize=size, squeeze=False)
     for axes, (cause, attempts) in zip(grid, sorted(by_cause.items()), strict=True):
         for axis in axes:
             axis.axis("off")
@@ -261,7 +262,7 @@ def heatmaps(
 
 def _row(shape: tuple[int, ...]) -> float:
     """Inches that a heightmap of this shape takes with its caption, ``COLUMN`` wide."""
-    return COLUMN * shape[0] / shape[1] + 0.15
+    return COLUMN * shape[0] / shape[1] + 0.25
 
 
 def _picture(axis: Axes, heightmap: Heightmap, pick: Pick, robot: Robot, caption: str) -> None:
