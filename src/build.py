@@ -69,6 +69,20 @@ def check_run(cfg: DictConfig) -> None:
     check_parts(cfg)
     for group in ("trainer", "logger", "collect.primitive"):
         check_arguments(OmegaConf.select(cfg, group), group)
+    if cfg.task.label and not cfg.task.weights:
+        _check_trainer(cfg)
+
+
+def _check_trainer(cfg: DictConfig) -> None:
+    """Build one, since what it asks for need not be in this machine."""
+    from lightning.pytorch.utilities.exceptions import MisconfigurationException
+    from see2act.quiet import quiet
+
+    quiet()
+    try:
+        instantiate(cfg.trainer)()
+    except (HydraException, MisconfigurationException, ValueError, TypeError, RuntimeError) as error:
+        raise ConfigError(f"this machine has no such trainer: {one_line(error)}") from None
 
 
 def policy(cfg: DictConfig) -> Policy:

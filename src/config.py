@@ -245,6 +245,8 @@ def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = Fals
             return compose("train", [*overrides], return_hydra_config=return_hydra_config)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from None
+    except ValueError as error:  # Hydra's, of a group that was given something else than the name of an option
+        raise ConfigError(f"{one_line(error)}: name an option of the group, as logger=none") from None
     finally:
         GlobalHydra.instance().hydra = outer
 
@@ -374,9 +376,13 @@ NOT_NEGATIVE = (
     *(f"finetune.replay.{key}" for key in ("alpha", "beta", "turn", "tint")),
 )
 """Keys that must be at least 0."""
+LOOPS = "use pretrain.epochs and finetune.attempts"
 OVERRULED = {
     "precision": "use precision=bf16 or precision=fp32",
-    "max_epochs": "use pretrain.epochs and finetune.attempts",
+    **dict.fromkeys(("max_epochs", "max_steps", "max_time", "fast_dev_run", "overfit_batches"), LOOPS),
+    **dict.fromkeys(("limit_train_batches", "limit_val_batches"), LOOPS),
+    "callbacks": "a run has its own",
+    "logger": "use logger=",
     "default_root_dir": "use hydra.run.dir=",
 }
 """The trainer's keys that a run sets itself, and what to type instead."""
@@ -406,8 +412,8 @@ def _check_words(cfg: DictConfig) -> None:
     _choice("labels", cfg.labels, ("truth", "vision"))
     _choice("precision", cfg.precision, ("bf16", "fp32"))
     for key, mend in OVERRULED.items():
-        if key in cfg.trainer:
-            raise ConfigError(f"trainer.{key} has no effect here: {mend}")
+        if cfg.trainer.get(key, False) is not False:
+            raise ConfigError(f"trainer.{key} has no place here: {mend}")
     for group in CHOICES:
         name = OmegaConf.select(cfg, f"{group}.name")
         if not re.fullmatch(WORD, str(name or "")):

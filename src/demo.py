@@ -16,8 +16,6 @@ from see2act.config import ConfigError, composed, validate
 from see2act.files import writable
 
 MODELS = Path(__file__).parents[1] / "models"
-ATTEMPTS = 15
-"""Of a test run with unseen objects (paper, section IV)."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -27,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="default: demo/")
     parser.add_argument("--no-film", action="store_true", help="pictures only, which is several times faster")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration, as for train.py")
-    args = parser.parse_args(arguments)
+    args = parser.parse_intermixed_args(arguments)
     from see2act.trained import ModelFileError  # brings torch, which --help should not wait for
 
     try:
@@ -49,14 +47,17 @@ def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bo
     from see2act.seeding import seed_for
 
     cfg = composed(["task=none", "transfer=none", *overrides])
-    if "video" in cfg.robot:
+    if "video" in cfg.robot and not any(override.startswith("robot.video=") for override in overrides):
         cfg.robot.video = film
     validate(cfg)
     build.check_parts(cfg)
     torch.set_num_threads(cfg.threads)
     model = trained.load(checkpoint or MODELS / f"{cfg.primitive.name}.safetensors", cfg.primitive.name)
-    if checkpoint is None and cfg.primitive.end_effector != model.config.primitive.end_effector:
-        raise ConfigError("models/ holds none that learned with this end effector: give --checkpoint, of a run with it")
+    if cfg.primitive.end_effector != model.config.primitive.end_effector:
+        raise ConfigError(
+            f"{checkpoint or 'models/'} did not learn with this end effector: give --checkpoint of a run that did, and the "
+            "primitive= that was typed for it"
+        )
     if cfg.workspace.pixel != model.pixel:
         raise ConfigError(
             f"workspace={cfg.workspace.name} has {cfg.workspace.pixel} m a pixel, the model learned from {model.pixel}"
@@ -69,8 +70,8 @@ def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bo
     done = []
     try:
         with robot.film(folder / "clearing.mp4"):
-            scene = seed_for("scene/demo", cfg.seed)
-            for attempt in one_test_run(robot, model.affordances, build.policy(cfg), scene, "unseen", ATTEMPTS):
+            scene, most = seed_for("scene/demo", cfg.seed), cfg.evaluate.attempts.unseen
+            for attempt in one_test_run(robot, model.affordances, build.policy(cfg), scene, "unseen", most):
                 done.append(attempt)
                 pick, outcome = attempt.pick, attempt.outcome
                 turn = f", {math.degrees(pick.angle):3.0f} degrees" if cfg.primitive.angles > 1 else ""

@@ -12,9 +12,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from omegaconf import OmegaConf
 from see2act.config import ConfigError, composed, validate
+from see2act.files import writable
 
 TASKS = ("none", "imagenet", "edge", "corner", "center", "foreground", "normal", "coco")
 TRANSFERS = {"none": "none", "imagenet": "backbone"}
@@ -25,13 +27,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", type=Path, metavar="DIR", help="a finished run whose fine-tuned model is shown last")
-    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="TASK", help=f"of {', '.join(TASKS)}")
+    parser.add_argument("--tasks", default=",".join(TASKS), metavar="TASK,TASK", help="default: %(default)s")
     parser.add_argument("--scenes", type=int, default=1, metavar="N", help="of each split (default 1)")
     parser.add_argument("--out", type=Path, default=Path("heatmaps"), metavar="DIR", help="default: heatmaps/")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration, as for train.py")
-    args = parser.parse_args(arguments)
+    args = parser.parse_intermixed_args(arguments)
     try:
-        missing = draw(args.overrides, args.tasks, args.run, args.scenes, args.out)
+        missing = draw(args.overrides, args.tasks.split(","), args.run, args.scenes, args.out)
     except ConfigError as error:
         sys.exit(f"see2act: {error}")
     for task, reason in missing.items():
@@ -43,8 +45,9 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
     """Make the figure in ``out``; what had to be left out, with the reason.
 
     Raises:
-        ConfigError: The configuration is impossible, or the run's model is another one.
+        ConfigError: The configuration is impossible, a task is unknown, or the run's model is another one.
     """
+    _check(overrides, tasks, scenes, out)
     import torch  # torch and lightning take seconds, which --help should not
     from see2act import build, figures
     from see2act.modules.transfer import TransferError
@@ -55,6 +58,7 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
     if run and last and not last.is_file():
         raise ConfigError(f"{last} is not there: --run takes the folder of a finished run")
     overrides = [*(_of_run(run, overrides) if run else ()), *overrides]
+    build.check_parts(composed([*overrides, "task=none", "transfer=none"]))
     with TemporaryDirectory() as scratch:
         for task in tasks:
             cfg = composed([*overrides, f"task={task}", f"transfer={TRANSFERS.get(task, 'full')}"])
@@ -87,6 +91,18 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
     return missing
 
 
+def _check(overrides: Sequence[str], tasks: Sequence[str], scenes: int, out: Path) -> None:
+    for override in overrides:
+        if _key(override) in ("task", "transfer"):
+            raise ConfigError(f"{override} has no effect here: use --tasks {TASKS[2]},{TASKS[3]}")
+    if unknown := [task for task in tasks if task not in TASKS]:
+        raise ConfigError(f"--tasks has {', '.join(unknown)}: choose from {','.join(TASKS)}")
+    if scenes < 1:
+        raise ConfigError(f"--scenes {scenes} is too small: it must be at least 1")
+    if not writable(out):
+        raise ConfigError(f"--out {out} cannot be written: give a folder that you may write to")
+
+
 def _of_run(run: Path, typed: Sequence[str]) -> list[str]:
     """What a run was typed with, but for its task and whatever is typed anew: its tool, its objects, its observations.
 
@@ -97,7 +113,15 @@ def _of_run(run: Path, typed: Sequence[str]) -> list[str]:
     if not path.is_file():
         raise ConfigError(f"{path} is not there: --run takes the folder of a finished run")
     anew = {_key(override) for override in typed} | {"transfer", "force"}
-    return [o for o in map(str, OmegaConf.load(path)) if _key(o) not in anew and _key(o).split(".")[0] != "task"]
+    of_run: Any = OmegaConf.to_container(OmegaConf.load(path))
+    return [*_searched(run), *(o for o in of_run if _key(o) not in anew and _key(o).split(".")[0] != "task")]
+
+
+def _searched(run: Path) -> list[str]:
+    """Where a run found configuration of its user's, which is not among its overrides but in Hydra's own file."""
+    path = run / ".hydra" / "hydra.yaml"
+    places = OmegaConf.load(path).hydra.searchpath if path.is_file() else []
+    return [f"hydra.searchpath=[{','.join(repr(place) for place in places)}]"] if places else []
 
 
 def _key(override: str) -> str:

@@ -34,6 +34,7 @@ from see2act.config import (
 )
 from see2act.files import DamagedFile, read_json, writable
 from see2act.results import versions
+from see2act.robot.types import RobotError
 from see2act.sweep import (
     FAILED,
     LEFT_OUT,
@@ -159,7 +160,7 @@ def _hydra_main(cfg: DictConfig) -> float | None:
         return _job(cfg, folder, Path(HydraConfig.get().sweep.dir).absolute())
     try:
         return _checked(cfg, folder)
-    except (ConfigError, DamagedFile) as error:
+    except (ConfigError, DamagedFile, RobotError) as error:
         sys.exit(f"see2act: {error}")
 
 

@@ -19,7 +19,7 @@ from see2act import build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, foreign_code, given_files, once
-from see2act.config import CHOICES, config_hash, content_hash, relevant_trainer
+from see2act.config import CHOICES, ConfigError, config_hash, content_hash, relevant_trainer
 from see2act.dashboard import Dashboard
 from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
@@ -32,7 +32,7 @@ from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms, estimate
 from see2act.modules.network import PixelNetwork
 from see2act.modules.precision import average_precision
-from see2act.modules.transfer import TransferReport, copy_parts
+from see2act.modules.transfer import TransferError, TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, commit, curve, packages, versions
@@ -112,7 +112,7 @@ class Run:
         """The vision model's checkpoint: given, from the cache or trained now; None for ``task=none``."""
         cfg = self.cfg
         if cfg.task.weights or cfg.task.off_the_shelf:
-            return self._keep_vision({"network": self._given(*channel_statistics(collection))})
+            return self._keep_vision({"task": cfg.task.name, "network": self._given(*channel_statistics(collection))})
         if cfg.task.label is None:
             return None
         path = self.vision_path()
@@ -214,8 +214,15 @@ class Run:
         """State of a vision model from elsewhere.
 
         What torchvision's lack, statistics of the height, is taken from ours (``mean``, ``std``: (4,)).
+
+        Raises:
+            TransferError: It cannot be read, is of another task, or is no vision model.
         """
         task = self.cfg.task
+        if task.weights and trained.is_model(Path(task.weights)):
+            raise TransferError(f"{task.weights} is a fine-tuned model: give the same run's checkpoints/vision.ckpt")
+        if task.weights and (known := weights.task_of(Path(task.weights))) not in (None, task.name):
+            raise TransferError(f"{task.weights} learned {known}, not {task.name}: type task={known}, or give another file")
         if not task.off_the_shelf:
             return weights.read(Path(task.weights))
         source: weights.OffTheShelf = instantiate(task.off_the_shelf)
@@ -234,7 +241,7 @@ class Run:
         )
         log.info("pretrain: %s labels %.1f %% of the pixels as positive", cfg.task.name, 100 * data.positive_share)
         if not 0 < data.positive_share < 1:
-            raise ValueError(
+            raise ConfigError(
                 f"task={cfg.task.name} labels all pixels alike: check its parameters in conf/task/{cfg.task.name}.yaml"
             )
         network = self._network(seed_for("vision", seed))
@@ -244,6 +251,7 @@ class Run:
         trainer = self._trainer(max_epochs=cfg.pretrain.epochs)
         self._fit_to_the_end(trainer, module, data)
         checkpoint = {
+            "task": cfg.task.name,
             "network": network.state_dict(),
             "positive_share": data.positive_share,
             "val_loss": float(trainer.callback_metrics["vision/val_loss"]),

@@ -103,6 +103,14 @@ def load(path: Path, primitive: str | None = None) -> TrainedModel:
     return model
 
 
+def is_model(path: Path) -> bool:
+    """Whether a file is one that :func:`save` wrote."""
+    try:
+        return CONFIG in _metadata(path)
+    except (SafetensorError, OSError):
+        return False
+
+
 def _model(metadata: Mapping[str, str], state: dict[str, Tensor]) -> TrainedModel:
     config = OmegaConf.create(json.loads(metadata[CONFIG]))
     assert isinstance(config, DictConfig)

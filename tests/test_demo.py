@@ -28,12 +28,13 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_tries_until_the_bin_is_empty_and_leaves_pictures(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    main([*FEW, "primitive=suction", "--checkpoint", str(model), "--out", str(tmp_path), "--no-film"])
+    few = "evaluate.attempts.unseen=4"
+    main(["primitive=suction", "--checkpoint", str(model), "--out", str(tmp_path), *FEW, "--no-film", few])
     told = capsys.readouterr().out
     tried = told.count("score")
-    assert 2 <= tried <= 15
+    assert 2 <= tried <= 4
     assert f"of {tried} picks succeeded" in told
-    assert tried == 15 or "the bin is empty" in told
+    assert tried == 4 or "the bin is empty" in told
     folder = tmp_path / "suction-diverse-seed2"
     assert cv2.imread(str(folder / "strip.png")).shape[0] > 400
     assert not (folder / "clearing.mp4").exists()
@@ -55,8 +56,10 @@ def test_what_does_not_fit_is_refused(model: Path, tmp_path: Path) -> None:
         clear(["primitive=suction", "workspace=suction_real"], model, tmp_path, film=False)
     with pytest.raises(SystemExit, match="is not there"):
         main(["--checkpoint", str(tmp_path / "none.safetensors"), "--out", str(tmp_path)])
-    with pytest.raises(ConfigError, match="learned with this end effector"):
+    with pytest.raises(ConfigError, match="did not learn with this end effector"):
         clear(["primitive=grasp_rg2"], None, tmp_path, film=False)
+    with pytest.raises(ConfigError, match="did not learn with this end effector"):
+        clear(["primitive=suction", "primitive.end_effector.cup_radius=0.012"], model, tmp_path, film=False)
     for overrides in (["primitive=foo"], ["nonsense"], ["seed=x"], ["objects=folder"], ["objects.scale=[2,3]"]):
         with pytest.raises(SystemExit, match="see2act: ") as told:
             main([*overrides, "--checkpoint", str(model), "--out", str(tmp_path)])

@@ -12,7 +12,7 @@ from see2act.robot.workspace import Workspace
 
 
 class CountingRobot(Robot):
-    """Succeeds at every second attempt; the bin holds ``objects``."""
+    """Succeeds at every second attempt, but for the first of a scene that truly holds nothing; the bin holds ``objects``."""
 
     workspace = Workspace("bin", 0.1, 0.1, 0.0125)
     primitive = "suction"
@@ -38,7 +38,7 @@ class CountingRobot(Robot):
         self._tries += 1
         success = self._tries % 2 == 0
         self._left -= success
-        return Outcome(success, success, "ok" if success else "missed", 0.0, 1.0, 1)
+        return Outcome(success, success and self._tries > 2, "ok" if success else "missed", 0.0, 1.0, 1)
 
     def bin_empty(self) -> bool:
         return self._left == 0
@@ -59,6 +59,7 @@ def test_a_run_ends_when_the_bin_is_empty_or_its_attempts_are_spent(objects: int
     assert [run["attempts"] for run in result["seen"]["runs"]] == [seen, seen]
     assert [run["attempts"] for run in result["unseen"]["runs"]] == [unseen, unseen]
     assert result["seen"]["successes"] == 2 * (seen // 2)
+    assert result["seen"]["truth_successes"] == 2 * (seen // 2 - 1)
     assert result["seen"]["rate"] == pytest.approx(seen // 2 / seen)
     assert robot.resets == [(scene_seed(split, run), split) for split in ("seen", "unseen") for run in range(2)]
     assert len(rows) == 2 * (seen + unseen)

@@ -140,10 +140,12 @@ def test_a_gripper_in_the_outermost_pixels_it_may_use_touches_no_wall(make_robot
 
 def test_something_is_chosen_even_when_all_has_failed() -> None:
     flat = _heightmap(np.zeros((5, 5)))
-    policy = Policy("suppress", True, 0.0025, radius=1.0)
-    maps = np.zeros((1, 5, 5))
-    policy.remember(policy.choose(maps, flat), flat, success=False)
-    assert policy.choose(maps, flat).logit == 0.0
+    policy = Policy("suppress", True, 0.0025, radius=1.0, footprint=(0.0025, 0.0025))
+    maps = np.arange(25.0).reshape(1, 5, 5)
+    for _ in range(2):
+        choice = policy.choose(maps, flat)
+        assert (choice.row, choice.col) == (3, 3)  # the best that the walls leave room for
+        policy.remember(choice, flat, success=False)
 
 
 def test_entropy_tells_how_sure_a_draw_is(flat: Heightmap) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
+from typing import Any
 
 import torch
 import torchvision
@@ -78,17 +79,31 @@ def read(path: Path) -> dict[str, Tensor]:
     Raises:
         TransferError: It is not there, broken, would run code, or holds no state dict.
     """
-    try:
-        content = load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
-    except (SafetensorError, UnpicklingError, RuntimeError, OSError, LookupError, EOFError, ValueError) as error:
-        reason = " ".join(str(error).split())[:160]
-        raise TransferError(f"{path} cannot be read ({reason}): bring weights as a .pth or .safetensors file") from None
+    content = _content(path)
     for name in ("network", "state_dict", "model"):
         if isinstance(content, Mapping) and isinstance(content.get(name), Mapping):
             content = content[name]
     if not isinstance(content, Mapping) or not content or not all(isinstance(v, Tensor) for v in content.values()):
         raise TransferError(f"{path} holds no state dict: bring the file that torch.save(model.state_dict(), ...) writes")
     return dict(content)
+
+
+def task_of(path: Path) -> str | None:
+    """The vision task that a checkpoint of this project says it learned; None where a file does not say.
+
+    Raises:
+        TransferError: It is not there, broken, or would run code.
+    """
+    content = _content(path)
+    return str(content["task"]) if isinstance(content, Mapping) and isinstance(content.get("task"), str) else None
+
+
+def _content(path: Path) -> Any:
+    try:
+        return load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
+    except (SafetensorError, UnpicklingError, RuntimeError, OSError, LookupError, EOFError, ValueError) as error:
+        reason = " ".join(str(error).split())[:160]
+        raise TransferError(f"{path} cannot be read ({reason}): bring weights as a .pth or .safetensors file") from None
 
 
 def to_our_keys(state: Mapping[str, Tensor]) -> dict[str, Tensor]:

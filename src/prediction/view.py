@@ -74,7 +74,7 @@ def look(
         pose: Camera to world, metres, z up; None finds the floor, which is the world's z = 0 then.
         bounds: Smallest x, smallest y, largest x, largest y of the inside of the bin in the world, metres; None takes the
             floor that is seen.
-        floor: The floor's z in the world, metres; None for 0, which is checked.
+        floor: The floor's z in the world, metres; None for 0 with a pose, and without one for where most lies.
         pixel: Metres a pixel of the heightmap.
 
     Raises:
@@ -83,7 +83,7 @@ def look(
     depth = _metres(depth, color, "depth")
     background = None if background is None else _metres(background, color, "background depth")
     _check_matrices(intrinsics, pose, color.shape)
-    _check_bounds(bounds)
+    _check_bounds(bounds, floor)
     centred, empty = intrinsics + HALF, depth if background is None else background
     to_world = floor_pose(empty, centred) if pose is None else np.asarray(pose, float)
     points = point_cloud(depth, centred, to_world)
@@ -100,7 +100,7 @@ def look(
 
 
 def _floor(heights: Float[np.ndarray, " n"], known_pose: bool, given: float | None) -> float:
-    """The floor's z, given the heights of what is seen between the bounds; where it is not given, it is checked."""
+    """The floor's z, by the heights of what is seen between the bounds, and by what is said of it."""
     if not len(heights):
         raise ImageError("nothing of the image lies between the bounds: check depth-scale, bounds and pose")
     counts, edges = np.histogram(heights, bins=np.arange(heights.min(), heights.max() + 2 * LEVEL, LEVEL))
@@ -117,6 +117,11 @@ def _floor(heights: Float[np.ndarray, " n"], known_pose: bool, given: float | No
         raise ImageError(
             f"most of what is seen between the bounds lies at z = {level:.3f} m, and the floor must be at 0: give "
             f"floor {level:.3f} if that is the floor, or check pose, depth-scale and bounds"
+        )
+    if np.mean(heights < floor - ASTRAY) > 0.5:
+        raise ImageError(
+            f"most of what is seen between the bounds lies below the floor, at z = {level:.3f} m: check floor {floor:.3f}, "
+            "pose and bounds"
         )
     if np.mean(heights > floor + HIGHEST) > 0.01:
         raise ImageError(
@@ -213,7 +218,9 @@ def _check_matrices(intrinsics: np.ndarray, pose: np.ndarray | None, shape: tupl
         )
 
 
-def _check_bounds(bounds: tuple[float, float, float, float] | None) -> None:
+def _check_bounds(bounds: tuple[float, float, float, float] | None, floor: float | None) -> None:
+    if floor is not None and not math.isfinite(floor):
+        raise ImageError(f"the floor {floor} is no number: give its z in metres")
     if bounds is not None and not np.isfinite(bounds).all():
         raise ImageError(f"the bounds {tuple(bounds)} are not all numbers: give smallest x, smallest y, largest x, largest y")
 

@@ -9,6 +9,7 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, get_args
 
@@ -187,8 +188,10 @@ def check(result: Any) -> None:
         raise BrokenRun("its evaluations have different numbers of test runs")
     for block in result["curve"]:
         rate(block)
+    if [block["step"] for block in result["curve"]] != [*accumulate(block["attempts"] for block in result["curve"])]:
+        raise BrokenRun("the steps of its curve are not what its attempts sum up to")
     steps = [point["step"] for point in result["evals"]]
-    if not steps or steps != sorted({*steps}):
+    if not steps or not all(isinstance(step, int) for step in steps) or steps != sorted({*steps}):
         raise BrokenRun("evals are missing, or not in order")
 
 
@@ -235,7 +238,8 @@ def _flat(config: DictConfig | None) -> dict[str, str]:
 
 def _overrides(folder: Path) -> tuple[str, ...] | None:
     try:
-        overrides = OmegaConf.load(folder / ".hydra" / "overrides.yaml")
+        # As typed: an interpolation means something within the whole configuration alone.
+        overrides: Any = OmegaConf.to_container(OmegaConf.load(folder / ".hydra" / "overrides.yaml"))
     except (OSError, YAMLError, UnicodeDecodeError):
         return None
     return tuple(map(str, overrides))

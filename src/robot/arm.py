@@ -32,12 +32,21 @@ class ArmConfig:
         home: World position of ``tool0`` before and after each attempt, metres.
         joint_speed: Fastest joint in free motion, rad/s (UR5: 3.14 at most).
         tool_speed: Tool on straight lines, m/s.
+
+    Raises:
+        RobotError: A speed is not above 0.
     """
 
     base: tuple[float, float, float]
     home: tuple[float, float, float]
     joint_speed: float
     tool_speed: float
+
+    def __post_init__(self) -> None:
+        if not min(self.joint_speed, self.tool_speed) > 0:
+            raise RobotError(
+                f"robot.arm.joint_speed={self.joint_speed} and robot.arm.tool_speed={self.tool_speed} must be above 0"
+            )
 
 
 class Arm:

@@ -83,7 +83,7 @@ class Camera:
         noise: Errors of the depth.
 
     Raises:
-        RobotError: There is no pixel, or the focal length is not above 0.
+        RobotError: There is no pixel, the focal length is not above 0, or there is no direction to look in.
     """
 
     name: str
@@ -100,6 +100,16 @@ class Camera:
             raise RobotError(
                 f"camera.width={self.width}, camera.height={self.height} and camera.focal={self.focal}: give at least 1 pixel "
                 "each, and a focal length above 0"
+            )
+        try:
+            with np.errstate(invalid="ignore"):
+                looks = bool(np.isfinite(self.pose).all())
+        except (TypeError, ValueError):
+            looks = False
+        if not looks:
+            raise RobotError(
+                f"camera.position={self.position}, camera.target={self.target} and camera.up={self.up} give no view: each must "
+                "be three numbers, position and target apart, and up not along the view"
             )
 
     @property

@@ -77,8 +77,8 @@ class ObjectSet:
         transparent: Objects that the depth sensor looks through.
 
     Raises:
-        RobotError: An object is unknown or too wide, is both seen and unseen, or there are too few; the scale is none; or a
-            texture is unknown.
+        RobotError: An object is unknown or too wide, is both seen and unseen, or there are too few; scale or density are none;
+            or a texture is unknown.
     """
 
     name: str
@@ -95,6 +95,8 @@ class ObjectSet:
     def __post_init__(self) -> None:
         if not 0 < self.scale[0] <= self.scale[1]:
             raise RobotError(f"objects.scale must be [low, high] with 0 < low <= high, got {list(self.scale)}")
+        if not self.density > 0:
+            raise RobotError(f"objects.density={self.density} must be above 0: it is in kg/m^3")
         if min(self.kinds, self.copies) < 1:
             raise RobotError(f"objects.kinds={self.kinds} and objects.copies={self.copies} must be at least 1")
         for split in ("seen", "unseen"):

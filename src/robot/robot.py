@@ -12,7 +12,7 @@ import numpy as np
 from see2act.robot import heightmap as hm
 from see2act.robot import urdf
 from see2act.robot.arm import Arm, ArmConfig
-from see2act.robot.camera import Camera
+from see2act.robot.camera import FAR, Camera
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.objects import ObjectSet
 from see2act.robot.scene import BinConfig, Refusal, Scene
@@ -113,7 +113,7 @@ class SimulatedRobot(Robot):
         video: Whether :meth:`film` records; a frame costs 0.1 s.
 
     Raises:
-        RobotError: There is no such motion, or home is out of the arm's reach.
+        RobotError: There is no such motion, the camera sees nothing of the workspace, or home is out of the arm's reach.
     """
 
     def __init__(
@@ -130,6 +130,11 @@ class SimulatedRobot(Robot):
     ):
         if motion not in MOTIONS:
             raise RobotError(f"robot.motion={motion} is unknown: choose one of {', '.join(MOTIONS)}")
+        floor = camera.floor_depth()
+        if not len(hm.highest(hm.point_cloud(floor, camera.intrinsics, camera.pose), floor < FAR, workspace)[0]):
+            raise RobotError(
+                f"the camera at {camera.position} sees nothing of the bin: turn camera.target to it, less than {FAR} m away"
+            )
         self.workspace = workspace
         self.primitive = end_effector.primitive
         self.half_opening = end_effector.half_opening

@@ -136,7 +136,9 @@ def test_the_average_acts_and_the_last_parameters_learn() -> None:
     averaged = module.affordances(*scene)
     module.average.module.load_state_dict(module.network.state_dict())
     assert module.affordances(*scene) == pytest.approx(averaged + 1.8, abs=1e-4)
-    assert not any(p.grad is not None for p in module.average.parameters())
+    module.training_step(_batch(1), 0).backward()
+    assert all(p.grad is not None for p in module.network.parameters())
+    assert all(p.grad is None for p in module.average.parameters())
 
 
 def test_tints_mix_channels() -> None:

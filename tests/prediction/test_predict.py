@@ -114,6 +114,10 @@ def test_a_floor_that_is_not_at_zero_is_asked_for(image: dict, highest: TrainedM
     theirs = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
     np.testing.assert_allclose(ours.heightmap.height, theirs.heightmap.height, atol=1e-4)
     np.testing.assert_allclose(ours.picks[0].position, np.add(theirs.picks[0].position, (0, 0, 0.1)), atol=1e-4)
+    with pytest.raises(ImageError, match=r"lies below the floor, at z = 0\.10\d m: check floor 0\.300"):
+        see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS, floor=0.3)
+    with pytest.raises(ImageError, match="the floor nan is no number"):
+        see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS, floor=float("nan"))
 
 
 def test_a_grasp_has_room_between_the_bounds(image: dict, robot: SimulatedRobot, config: Callable[..., DictConfig]) -> None:
@@ -309,6 +313,29 @@ def test_the_command_leaves_picks_and_a_picture(files: dict[str, str], capsys: p
     said = capsys.readouterr().out
     assert said.count("score") == 3
     assert "jaws along" in said
+
+
+def test_the_command_does_what_the_function_does(
+    files: dict[str, str], image: dict, robot: SimulatedRobot, tmp_path: Path
+) -> None:
+    """With every option: what is typed arrives, in the units it was typed in."""
+    raised = robot.camera.pose.copy()
+    raised[2, 3] += 0.1
+    np.savetxt(tmp_path / "pose.txt", raised)
+    empty = np.where(image["depth"] > 0, robot.camera.floor_depth(), 0)
+    cv2.imwrite(str(tmp_path / "empty.png"), np.rint(empty * 1e4).astype(np.uint16))
+    bounds = (-0.15, -0.18, 0.18, 0.17)
+    options = {"--pose": str(tmp_path / "pose.txt"), "--background-depth": str(tmp_path / "empty.png"), "--floor": "0.1"}
+    main([*_command(files | options), "--bounds", *map(str, bounds), "--count", "4", "--apart", "0.03"])
+    told = json.loads((Path(files["--out"]) / "picks.json").read_text())
+    given = {**image, "depth": np.rint(image["depth"] * 1e4) / 1e4, "background_depth": np.rint(empty * 1e4) / 1e4}
+    found = see2act.predict(
+        **given, checkpoint=files["--checkpoint"], pose=raised, bounds=bounds, floor=0.1, count=4, apart=0.03
+    )
+    assert [(pick["row"], pick["col"]) for pick in told["picks"]] == [(pick.row, pick.col) for pick in found.picks]
+    assert told["heightmap"]["floor"] == pytest.approx(0.1)
+    np.testing.assert_allclose(told["camera_to_world"], raised)
+    assert all(pick["position"][2] > 0.1 + 0.004 for pick in told["picks"])  # what was there before is not picked
 
 
 @pytest.mark.parametrize(

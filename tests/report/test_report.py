@@ -271,6 +271,8 @@ def test_unfinished_and_broken_runs_are_listed_and_not_counted(make_run: MakeRun
         ('"evals": [', '"evals": [], "old": [', "evals are missing"),
         ('"successes": 20,', '"successes": "20",', "'20' successes of 20 attempts"),
         ('"curve": [{"step": 20, "successes": 10', '"curve": [{"step": 20, "successes": 21', "21 successes of 20 attempts"),
+        ('"curve": [{"step": 20', '"curve": [{"step": "20"', "steps of its curve"),
+        ('"evals": [{"step": 0', '"evals": [{"step": "0"', "evals are missing, or not in order"),
     ],
 )
 def test_an_impossible_result_is_left_out_with_the_reason(
@@ -284,6 +286,14 @@ def test_an_impossible_result_is_left_out_with_the_reason(
     assert not found.runs
     assert reason in found.broken[0][1]
     assert any("Left out" in notice and reason in notice for notice in found.notices)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_run_that_was_typed_with_an_interpolation_is_read(make_run: MakeRun, runs: Path) -> None:
+    overrides = make_run() / ".hydra" / "overrides.yaml"
+    overrides.write_text(overrides.read_text() + "- finetune.attempts=${primitive.benchmark_attempts}\n")
+    (found,) = report(runs).runs
+    assert "finetune.attempts=${primitive.benchmark_attempts}" in found.overrides
 
 
 @pytest.mark.usefixtures("no_figures")
