@@ -69,8 +69,30 @@ def check_run(cfg: DictConfig) -> None:
     check_parts(cfg)
     for group in ("trainer", "logger", "collect.primitive"):
         check_arguments(OmegaConf.select(cfg, group), group)
+    if cfg.task.label:
+        _check_shape(cfg)
     if cfg.task.label and not cfg.task.weights:
         _check_trainer(cfg)
+
+
+def _check_shape(cfg: DictConfig) -> None:
+    """Run a heightmap through the network: a vision model learns from whole ones, of whatever size the workspace has."""
+    import torch
+
+    rows, cols = instantiate(cfg.workspace).shape
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        network = instantiate(cfg.model.network).eval()
+        try:
+            given = tuple(network(torch.zeros(1, 4, rows, cols)).shape)
+        except RuntimeError as error:
+            raise ConfigError(
+                f"model={cfg.model.name} takes no heightmap of {rows} x {cols} pixels: {one_line(error)}"
+            ) from None
+    if given != (1, 1, rows, cols):
+        raise ConfigError(
+            f"model={cfg.model.name} gives {' x '.join(map(str, given[2:]))} logits for a heightmap of {rows} x {cols} pixels: "
+            f"choose workspace.length and workspace.width so that both are multiples of {network.stride}"
+        )
 
 
 def _check_trainer(cfg: DictConfig) -> None:

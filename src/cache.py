@@ -96,6 +96,8 @@ def once(path: Path, make: Callable[[], None]) -> bool:
         log.info("waiting for another process, which is making %s", path)
         lock.acquire()
     try:
+        for partial in path.parent.glob(f".{path.name}.*.partial"):  # of a process that was killed while it wrote
+            partial.unlink(missing_ok=True)
         if path.exists():
             return False
         make()

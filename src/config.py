@@ -380,7 +380,7 @@ LOOPS = "use pretrain.epochs and finetune.attempts"
 OVERRULED = {
     "precision": "use precision=bf16 or precision=fp32",
     **dict.fromkeys(("max_epochs", "max_steps", "max_time", "fast_dev_run", "overfit_batches"), LOOPS),
-    **dict.fromkeys(("limit_train_batches", "limit_val_batches"), LOOPS),
+    **dict.fromkeys(("limit_train_batches", "limit_val_batches", "val_check_interval", "check_val_every_n_epoch"), LOOPS),
     "callbacks": "a run has its own",
     "logger": "use logger=",
     "default_root_dir": "use hydra.run.dir=",

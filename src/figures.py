@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +24,7 @@ from see2act.files import replacing
 from see2act.policy import Policy
 from see2act.results import BLOCK, curve
 from see2act.robot.robot import Robot
-from see2act.robot.types import Heightmap, Pick
+from see2act.robot.types import Cause, Heightmap, Pick
 from see2act.statistics import wilson
 
 if TYPE_CHECKING:
@@ -132,28 +133,40 @@ def _reliability(rows: list[dict[str, str]]) -> list[tuple[float, float, float, 
     return points
 
 
-def failures(failed: list[Attempt], affordances: Affordances, robot: Robot, title: str, path: Path) -> None:
+class Failures:
+    """Failed attempts by cause: how many, and the first :data:`SHOWN` of each, since their images are large."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[Cause] = Counter()
+        self.shown: dict[Cause, list[Attempt]] = {}
+
+    def add(self, failed: Attempt) -> None:
+        """One more."""
+        cause = failed.outcome.cause
+        self.counts[cause] += 1
+        if self.counts[cause] <= SHOWN:
+            self.shown.setdefault(cause, []).append(failed)
+
+
+def failures(failed: Failures, affordances: Affordances, robot: Robot, title: str, path: Path) -> None:
     """Failed attempts sorted by cause, a row each: the heightmap with the pick, and the heatmap of its angle.
 
     Args:
-        failed: At least one; the first :data:`SHOWN` of each cause are shown.
+        failed: At least one.
         affordances: The model that chose them.
         robot: For its jaws and workspace.
         title: Over the figure.
         path: Where to.
     """
-    by_cause: dict[str, list[Attempt]] = {}
-    for one in failed:
-        by_cause.setdefault(one.outcome.cause, []).append(one)
-    pairs = min(SHOWN, max(len(attempts) for attempts in by_cause.values()))
-    size = (COLUMN * 2 * pairs, _row(robot.workspace.shape) * len(by_cause) + 0.3)
-    figure, grid = plt.subplots(len(by_cause), 2 * pairs, figsize=size, squeeze=False)
-    for axes, (cause, attempts) in zip(grid, sorted(by_cause.items()), strict=True):
+    rows, pairs = len(failed.shown), max(len(attempts) for attempts in failed.shown.values())
+    size = (COLUMN * 2 * pairs, _row(robot.workspace.shape) * rows + 0.3)
+    figure, grid = plt.subplots(rows, 2 * pairs, figsize=size, squeeze=False)
+    for axes, (cause, attempts) in zip(grid, sorted(failed.shown.items()), strict=True):
         for axis in axes:
             axis.axis("off")
-        for k, one in enumerate(attempts[:SHOWN]):
+        for k, one in enumerate(attempts):
             heightmap, choice = one.heightmap, one.choice
-            caption = f"{cause}, {len(attempts)} of {len(failed)} failures" if k == 0 else ""
+            caption = f"{cause}, {failed.counts[cause]} of {failed.counts.total()} failures" if k == 0 else ""
             _picture(axes[2 * k], heightmap, one.pick, robot, caption)
             heatmap = expit(affordances(heightmap.color, heightmap.height)[choice.angle])
             axes[2 * k + 1].imshow(heatmap, cmap="inferno", vmin=0, vmax=1)

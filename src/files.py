@@ -34,6 +34,12 @@ def replacing(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def sweep_up(folder: Path) -> None:
+    """Remove what processes that were killed while writing left in a folder; nobody else may be at work in it."""
+    for partial in folder.rglob(".*.partial"):
+        partial.unlink(missing_ok=True)
+
+
 def read_json(path: Path) -> Any:
     """What :func:`write_json` wrote.
 

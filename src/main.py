@@ -32,7 +32,7 @@ from see2act.config import (
     register,
     validate,
 )
-from see2act.files import DamagedFile, read_json, writable
+from see2act.files import DamagedFile, read_json, sweep_up, writable
 from see2act.results import versions
 from see2act.robot.types import RobotError
 from see2act.sweep import (
@@ -264,6 +264,7 @@ def run(cfg: DictConfig, folder: Path) -> float:
 def _alone(folder: Path) -> Iterator[None]:
     try:
         with FileLock(folder / ".lock").acquire(timeout=0):
+            sweep_up(folder)
             yield
     except Timeout:
         raise ConfigError(f"another process is at work in {folder}: wait for it to end") from None

@@ -75,9 +75,12 @@ class Run:
             collection = self.collect()
         with self._timed("pretrain"):
             vision = self.pretrain(collection)
+        with self._timed("figures"):
+            self._figures_of_seeing(collection, vision)
         with self._timed("transfer"):
             module, report = self.transfer(collection, vision)
         log.info(report.summary())
+        del collection  # it may be a gigabyte, and what follows takes long
         before = copy.deepcopy(module)
         with self._timed("finetune"):
             self.finetune(module)
@@ -85,7 +88,7 @@ class Run:
         with self._timed("evaluate_argmax"):
             self._evaluate_argmax(module)
         with self._timed("figures"):
-            self.figures(collection, vision, before, module)
+            self.figures(vision, before, module)
         self.dashboard.show(self.folder)
         return self._finish()
 
@@ -179,21 +182,11 @@ class Run:
         else:
             module.load_state_dict(torch.load(self.checkpoints / "affordance.ckpt", weights_only=True)["state_dict"])
 
-    def figures(
-        self, collection: Collection, vision: dict[str, Any] | None, before: AffordanceModule, module: AffordanceModule
-    ) -> None:
-        """Pictures of what was learned, in ``figures/``."""
+    def figures(self, vision: dict[str, Any] | None, before: AffordanceModule, module: AffordanceModule) -> None:
+        """Pictures of what was learned by trial and error, in ``figures/``."""
         cfg, out = self.cfg, self.folder / "figures"
         figures.learning_curve(self.folder / "attempts.csv", out / "learning_curve.png", self._title())
         figures.diagnosis(self.folder / "attempts.csv", out / "diagnosis.png", self._title())
-        if cfg.task.label is not None:
-            figures.labels(collection, build.task(cfg), cfg.labels, cfg.task.name, cfg.figures.scenes, out / "labels.png")
-        if quality := self.progress.get("vision"):
-            assert vision is not None
-            network = self._network(0)
-            network.load_state_dict(vision["network"])
-            title = f"{cfg.task.name}, average precision {quality['average_precision']:.2f} on held-out scenes"
-            figures.vision(self.held_out(), build.task(cfg), cfg.labels, network, cfg.figures.scenes, title, out / "vision.png")
         models = {"before fine-tuning": before, "after fine-tuning": module}
         if vision:
             seeing = copy.deepcopy(before)
@@ -204,6 +197,18 @@ class Run:
             figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, self._title(), out, cfg.evaluate.scenes)
         finally:
             robot.close()
+
+    def _figures_of_seeing(self, collection: Collection, vision: dict[str, Any] | None) -> None:
+        """Labels, and what the vision model makes of other scenes: there to be looked at while the robot learns."""
+        cfg, out = self.cfg, self.folder / "figures"
+        if cfg.task.label is not None:
+            figures.labels(collection, build.task(cfg), cfg.labels, cfg.task.name, cfg.figures.scenes, out / "labels.png")
+        if quality := self.progress.get("vision"):
+            assert vision is not None
+            network = self._network(0)
+            network.load_state_dict(vision["network"])
+            title = f"{cfg.task.name}, average precision {quality['average_precision']:.2f} on held-out scenes"
+            figures.vision(self.held_out(), build.task(cfg), cfg.labels, network, cfg.figures.scenes, title, out / "vision.png")
 
     def _keep_vision(self, checkpoint: dict[str, Any]) -> dict[str, Any]:
         with replacing(self.checkpoints / "vision.ckpt") as partial:
@@ -244,6 +249,7 @@ class Run:
             raise ConfigError(
                 f"task={cfg.task.name} labels all pixels alike: check its parameters in conf/task/{cfg.task.name}.yaml"
             )
+        held_out = self._held_out_labels()
         network = self._network(seed_for("vision", seed))
         network.normalization.set(*channel_statistics(collection))
         weight = (1 - data.positive_share) / data.positive_share if cfg.task.class_weight == "balanced" else 1.0
@@ -255,17 +261,31 @@ class Run:
             "network": network.state_dict(),
             "positive_share": data.positive_share,
             "val_loss": float(trainer.callback_metrics["vision/val_loss"]),
-            "average_precision": self._average_precision(module),
+            "average_precision": self._average_precision(module, held_out),
         }
         with replacing(path) as partial:
             torch.save(checkpoint, partial)
 
-    def _average_precision(self, module: VisionModule) -> float:
-        """Of the trained vision model on scenes it was not trained on."""
+    def _held_out_labels(self) -> np.ndarray:
+        """Of the scenes by which a vision model will be judged, (n, H, W); before it learns, since without any it cannot be.
+
+        Raises:
+            ConfigError: No pixel is labelled.
+        """
         task, held_out = build.task(self.cfg), self.held_out()
         labels = np.stack([task.label(held_out.view(i), self.cfg.labels) for i in range(len(held_out))])
+        if not labels.any():
+            raise ConfigError(
+                f"task={self.cfg.task.name} labels nothing in {len(held_out)} held-out scenes: raise pretrain.test_scenes, or "
+                f"check its parameters in conf/task/{self.cfg.task.name}.yaml"
+            )
+        return labels
+
+    def _average_precision(self, module: VisionModule, labels: np.ndarray) -> float:
+        """Of the trained vision model on scenes it was not trained on."""
+        held_out = self.held_out()
         scores = module.network.scores(held_out.arrays["color"], held_out.arrays["height"])
-        return average_precision(scores, labels, task.tolerance)
+        return average_precision(scores, labels, build.task(self.cfg).tolerance)
 
     def _fit(self, module: AffordanceModule, resume: Path | None, steps: list[int]) -> None:
         cfg = self.cfg
@@ -297,6 +317,10 @@ class Run:
             trainer = self._trainer(max_epochs=self.attempts, callbacks=[loop], limit_val_batches=0, **here)
             module.train()  # Lightning keeps the mode it finds
             self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)
+            if data.attempts != self.attempts:
+                raise ConfigError(
+                    f"the trainer ended after {data.attempts} of {self.attempts} attempts: trainer= has a key that ends it"
+                )
             for name, weights_only in (("affordance", True), ("last", False)):
                 with replacing(self.checkpoints / f"{name}.ckpt") as partial:
                     trainer.save_checkpoint(partial, weights_only=weights_only)
@@ -322,18 +346,18 @@ class Run:
         where = {"phase": phase, "step": step, "primitive": self.cfg.primitive.name}
         robot = build.robot_factory(self.cfg, self.cfg.primitive)()
         last = name == f"eval_{self.attempts}"
-        failed: list[Attempt] = []
+        failed = figures.Failures()
 
         def record(attempt: Attempt, **more: Any) -> None:
             self._attempts.append(attempt, **where, **more)
             if last and not attempt.outcome.success:
-                failed.append(attempt)
+                failed.add(attempt)
 
         try:
             with robot.film(self.folder / "video.mp4") if last else nullcontext():
                 title = f"evaluate at {step} ({policy.name})"
                 result = evaluate(robot, module.affordances, policy, self.protocol, record, title)
-            if failed:
+            if failed.counts:
                 title = f"{self._title()}: failed attempts of the last evaluation"
                 figures.failures(failed, module.affordances, robot, title, self.folder / "figures" / "failures.png")
         finally:

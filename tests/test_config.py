@@ -141,6 +141,8 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("camera.target=[0.45,0,0.54]", ["give no view", "position and target apart"]),
         ("camera.position=[a,b,c]", ["camera.position=['a', 'b', 'c']", "three numbers"]),
         ("robot.arm.tool_speed=0", ["robot.arm.tool_speed=0", "above 0"]),
+        ("workspace.length=0.365", ["144 x 144 logits for a heightmap of 146 x 144", "multiples of 4"]),
+        ("workspace.pixel=0.0035", ["102.86 pixels of 0.0035 m", "give 0.3605"]),
         ("objects.density=-5", ["objects.density=-5", "above 0"]),
         ("logger.offline=maybe", ["logger.offline=maybe", "must be bool"]),
         ("collect.primitive.end_effector.depth=abc", ["collect.primitive.end_effector.depth=abc", "must be float"]),

@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import pytest
@@ -56,6 +57,14 @@ def test_learning_is_diagnosed_also_where_all_attempts_end_alike(tmp_path: Path,
         writer.writerows(_row(i + 1, 0.02 * i, 0, episode=i // 10) for i in range(learned))
     figures.diagnosis(tmp_path / "attempts.csv", tmp_path / "diagnosis.png", "a run")
     assert (tmp_path / "diagnosis.png").stat().st_size > 10_000
+
+
+def test_failures_keep_no_more_than_is_shown() -> None:
+    failures = figures.Failures()
+    for cause in ["missed"] * 9 + ["wall"]:
+        failures.add(SimpleNamespace(outcome=SimpleNamespace(cause=cause)))  # type: ignore[arg-type]
+    assert failures.counts == {"missed": 9, "wall": 1}
+    assert {cause: len(shown) for cause, shown in failures.shown.items()} == {"missed": figures.SHOWN, "wall": 1}
 
 
 @pytest.mark.parametrize(("primitive", "millimetres"), [("grasp", 86), ("grasp_rg2", 110), ("suction", None)])

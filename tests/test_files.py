@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from see2act import cache
 from see2act.cache import once
-from see2act.files import replacing, write_json
+from see2act.files import replacing, sweep_up, write_json
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
@@ -24,6 +24,16 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         fail_half_way()
     assert path.read_text() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_kill_left_half_written_is_swept_up(tmp_path: Path) -> None:
+    write_json(tmp_path / "checkpoints" / "kept.json", 1)
+    for left in (tmp_path / "checkpoints" / ".last.ckpt.123.partial", tmp_path / ".thing.123.partial"):
+        left.write_text("half of")
+    assert once(tmp_path / "thing", lambda: write_json(tmp_path / "thing", 1))
+    assert {path.name for path in tmp_path.iterdir()} == {"checkpoints", "thing", "thing.lock"}
+    sweep_up(tmp_path)
+    assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["kept.json"]
 
 
 def _make(path: Path) -> None:

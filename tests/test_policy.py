@@ -148,6 +148,14 @@ def test_something_is_chosen_even_when_all_has_failed() -> None:
         policy.remember(choice, flat, success=False)
 
 
+def test_a_network_that_has_diverged_does_not_pick(flat: Heightmap) -> None:
+    maps = np.zeros((1, 40, 40))
+    maps[0, 3, 4] = np.nan
+    for temperature in (0.0, 0.02):
+        with pytest.raises(ValueError, match="the network has diverged"):
+            Policy("argmax", False, 0.0025).choose(maps, flat, temperature, np.random.default_rng(0))
+
+
 def test_entropy_tells_how_sure_a_draw_is(flat: Heightmap) -> None:
     policy, rng = Policy("argmax", False, 0.0025), np.random.default_rng(0)
     everywhere = policy.choose(np.zeros((16, 40, 40)), flat, 0.02, rng)

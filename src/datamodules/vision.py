@@ -47,10 +47,12 @@ class VisionDataModule(L.LightningDataModule):
 
 def channel_statistics(collection: Collection) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation of R, G, B in 0..1 and height in metres, over all observations."""
-    color = collection.arrays["color"].reshape(-1, 3).astype(np.float64) / 255
-    height = collection.arrays["height"].astype(np.float64)
-    mean = np.append(color.mean(0), height.mean())
-    std = np.append(color.std(0), height.std())
+    mean, square = np.zeros(4), np.zeros(4)
+    for color, height in zip(collection.arrays["color"], collection.arrays["height"], strict=True):  # one by one: they are many
+        pixels = np.dstack([color / 255, height]).reshape(-1, 4)
+        mean += pixels.mean(axis=0) / len(collection)
+        square += (pixels**2).mean(axis=0) / len(collection)
+    std = np.sqrt(square - mean**2)
     return torch.tensor(mean, dtype=torch.float32), torch.tensor(std, dtype=torch.float32)
 
 

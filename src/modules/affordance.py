@@ -39,8 +39,9 @@ class AffordanceModule(L.LightningModule):
         head_lr: Adam's learning rate of the head.
         weight_decay: Adam's.
         batchnorm: ``frozen`` keeps running statistics, ``batch`` uses those of each replay batch.
-        averaging: Share of the past in the moving average of parameters that acts, a learning step further; 0 acts with
-            the last parameters. Single pixels make noisy gradients, and the average is the better model.
+        averaging: Share of the past in the moving average of parameters, and of BatchNorm's statistics, that acts, a
+            learning step further; 0 acts with the last. Single pixels make noisy gradients, and the average is the better
+            model.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class AffordanceModule(L.LightningModule):
     ):
         super().__init__()
         self.network = network
-        self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging))
+        self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging), use_buffers=True)
         self.rotations = Rotations(shape, angles, network.stride)
         self._rates = {"backbone": backbone_lr, "head": head_lr}
         self._weight_decay = weight_decay

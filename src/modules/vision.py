@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import sampling_grid, warp, warp_nearest
+from see2act.seeding import seed_for
 from torch import Tensor
 
 Batch = dict[str, Tensor]
@@ -27,7 +28,7 @@ class VisionModule(L.LightningModule):
         lr: Adam's learning rate at its peak.
         weight_decay: Adam's.
         pos_weight: Weight of a positive pixel against a negative one.
-        seed: Of the augmentation.
+        seed: Of the augmentation. Each of several processes (ddp) goes on from a seed of its own.
     """
 
     def __init__(self, network: PixelNetwork, lr: float, weight_decay: float, pos_weight: float, seed: int):
@@ -35,12 +36,16 @@ class VisionModule(L.LightningModule):
         self.network = network
         self._lr, self._weight_decay = lr, weight_decay
         self.register_buffer("pos_weight", torch.tensor(pos_weight), persistent=False)
-        self._augment = torch.Generator().manual_seed(seed)
+        self._seed, self._augment = seed, torch.Generator().manual_seed(seed)
 
     def forward(self, color: UInt8[Tensor, "B H W 3"], height: Float[Tensor, "B H W"]) -> Float[Tensor, "B 1 H W"]:
         """Logits of unturned heightmaps."""
         logits: Tensor = self.network(self.network.prepare(color, height))
         return logits
+
+    def on_fit_start(self) -> None:
+        if self.global_rank:
+            self._augment.manual_seed(seed_for("augment", self._seed, self.global_rank))
 
     def training_step(self, batch: Batch, _: int) -> Tensor:
         x = self.network.prepare(batch["color"], batch["height"])

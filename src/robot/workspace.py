@@ -23,7 +23,7 @@ class Workspace:
         robot_x: World x of the robot's base, metres, so that all of the rectangle is in its reach.
 
     Raises:
-        RobotError: A length is not above 0.
+        RobotError: A length is not above 0, or an extent is no whole number of pixels.
     """
 
     name: str
@@ -35,6 +35,13 @@ class Workspace:
     def __post_init__(self) -> None:
         if min(self.width, self.length, self.pixel) <= 0:
             raise RobotError(f"workspace.width, length and pixel must be positive metres, got {self}")
+        for key in ("width", "length"):
+            metres = getattr(self, key)
+            count = metres / self.pixel
+            if abs(count - round(count)) > 1e-6:
+                raise RobotError(
+                    f"workspace.{key}={metres} is {count:.2f} pixels of {self.pixel} m: give {round(count) * self.pixel:.6g}"
+                )
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -54,7 +54,9 @@ def test_save_and_load(collections: list[Collection], tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_statistics_are_those_of_the_channels(collections: list[Collection]) -> None:
     mean, std = channel_statistics(collections[0])
-    height = collections[0].arrays["height"]
+    color, height = (collections[0].arrays[name] for name in ("color", "height"))
+    assert mean[:3].numpy() == pytest.approx(color.reshape(-1, 3).mean(axis=0) / 255, rel=1e-5)
+    assert std[:3].numpy() == pytest.approx(color.reshape(-1, 3).std(axis=0) / 255, rel=1e-5)
     assert mean[3].item() == pytest.approx(height.mean(), rel=1e-3)
     assert std[3].item() == pytest.approx(height.std(), rel=1e-3)
     assert (mean[:3] > 0.1).all()

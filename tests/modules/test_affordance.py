@@ -141,6 +141,16 @@ def test_the_average_acts_and_the_last_parameters_learn() -> None:
     assert all(p.grad is None for p in module.average.parameters())
 
 
+def test_statistics_are_averaged_with_the_parameters_they_belong_to() -> None:
+    module = _module(1)
+    mean = next(m for m in module.network.modules() if isinstance(m, torch.nn.BatchNorm2d)).running_mean
+    for value in (1.0, 3.0):
+        mean.fill_(value)
+        module.on_train_batch_end()
+    averaged = next(m for m in module.acting.modules() if isinstance(m, torch.nn.BatchNorm2d)).running_mean
+    assert averaged == pytest.approx(0.9 * 1 + 0.1 * 3)
+
+
 def test_tints_mix_channels() -> None:
     module, batch = _module(1), _batch(1)
     swapped = {**batch, "color": (batch["color"].flip(3).float() * 0.5).round().to(torch.uint8)}

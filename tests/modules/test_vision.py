@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import lightning as L
 import pytest
 import torch
@@ -60,7 +62,20 @@ def _data(count: int) -> list[dict[str, torch.Tensor]]:
     return [{"color": torch.zeros(32, 32, 3, dtype=torch.uint8), "height": h, "label": h > 0.05} for h in height]
 
 
-@pytest.mark.parametrize(("strategy", "devices"), [("auto", 1), ("ddp_fork", 2)])
+def test_each_of_several_processes_augments_by_itself() -> None:
+    x, y = torch.randn(4, 4, 32, 32), torch.rand(4, 32, 32) > 0.5
+    turned = []
+    for rank in (0, 1, 2):
+        module = _module()
+        module._trainer = SimpleNamespace(global_rank=rank)  # type: ignore[assignment]
+        module.on_fit_start()
+        turned.append(module._turn(x, y)[0])
+    assert torch.equal(turned[0], _module()._turn(x, y)[0])  # as one process alone
+    assert not torch.equal(turned[0], turned[1])
+    assert not torch.equal(turned[1], turned[2])
+
+
+@pytest.mark.parametrize(("strategy", "devices"), [("auto", 1), ("ddp_fork_find_unused_parameters_true", 2)])
 def test_one_and_several_processes_bring_the_weights_home(strategy: str, devices: int) -> None:
     module = _module()
     before = [parameter.detach().clone() for parameter in module.parameters()]

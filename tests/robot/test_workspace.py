@@ -22,3 +22,5 @@ def test_rows_grow_towards_minus_y_and_columns_towards_x() -> None:
 def test_impossible_sizes_are_refused() -> None:
     with pytest.raises(RobotError, match="must be positive"):
         Workspace("bin", 0.36, 0.36, -0.1)
+    with pytest.raises(RobotError, match=r"workspace.length=0\.36 is 102\.86 pixels of 0\.0035 m: give 0\.3605"):
+        Workspace("bin", 0.35, 0.36, 0.0035)
