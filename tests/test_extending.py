@@ -37,6 +37,17 @@ def test_a_task_a_network_and_a_robot_of_one_s_own(tmp_path: Path) -> None:
     assert result["eval"]["seen"]["attempts"] == 2
 
 
+def test_the_other_choices_run_to_their_end(tmp_path: Path) -> None:
+    other = ("transfer=backbone", "policy=argmax", "labels=vision", "evaluate.scenes=develop", "finetune.batchnorm=batch")
+    result = _train(tmp_path / "run", "task=tall", "robot=discs", *other)
+    assert (result["choices"]["transfer"], result["choices"]["labels"]) == ("backbone", "vision")
+    assert result["eval_argmax"]["repeated"]
+    again = _train(tmp_path / "run", "task=tall", "robot=discs", *other, "force=true")
+    assert again["evals"] == result["evals"]
+    (aside,) = (path for path in tmp_path.iterdir() if path.name.startswith("run."))
+    assert json.loads((aside / "result.json").read_text()) == result
+
+
 def test_objects_of_one_s_own(tmp_path: Path) -> None:
     result = _train(tmp_path / "run", "objects=cans", "task=none", "transfer=none", "finetune.attempts=0")
     assert result["choices"]["objects"] == "cans"

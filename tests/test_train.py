@@ -15,6 +15,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load_file
+from see2act.config import composed
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.batchnorm import batchnorms
 from see2act.pipeline import Run
 from torchvision.models.detection import fasterrcnn_resnet50_fpn
 
@@ -217,19 +221,53 @@ def test_time_before_an_interruption_counts(config: Callable, tmp_path: Path) ->
     assert job.progress.get("seconds")["finetune"] >= 0.2
 
 
-def test_a_vision_model_of_another_width_is_refused_before_any_work(run: tuple[Path, str], tmp_path: Path) -> None:
-    weights = run[0] / "checkpoints" / "vision.ckpt"
+def test_a_vision_model_that_does_not_fit_is_refused_before_any_work(run: tuple[Path, str], tmp_path: Path) -> None:
+    checkpoints = run[0] / "checkpoints"
     foreign = tmp_path / "foreign.ckpt"
     foreign.write_text("no checkpoint")
-    for file, words in (
-        (weights, "backbone.0.weight is [4, 4, 3, 3] there and [8, 4, 3, 3] here"),
-        (foreign, "cannot be read"),
+    for file, task, words in (
+        (checkpoints / "vision.ckpt", "foreground", "backbone.0.weight is [4, 4, 3, 3] there and [8, 4, 3, 3] here"),
+        (checkpoints / "vision.ckpt", "edge", "learned foreground, not edge: type task=foreground"),
+        (checkpoints / "model.safetensors", "edge", "is a fine-tuned model: give the same run's checkpoints/vision.ckpt"),
+        (foreign, "edge", "cannot be read"),
     ):
-        command = _command(tmp_path / "run", tmp_path / "cache", "model.width=8", f"task.weights={file}")
+        command = _command(tmp_path / "run", tmp_path / "cache", "model.width=8", f"task={task}", f"task.weights={file}")
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
         assert done.returncode == 1
         assert words in done.stderr
         assert not (tmp_path / "cache").exists()
+
+
+def test_what_acts_is_what_is_kept(run: tuple[Path, str]) -> None:
+    """The average of the parameters, which is not the last of them."""
+    kept = load_file(run[0] / "checkpoints" / "model.safetensors")
+    state = torch.load(run[0] / "checkpoints" / "affordance.ckpt", weights_only=True)["state_dict"]
+    assert all(torch.equal(value, state[f"average.module.{name}"]) for name, value in kept.items())
+    assert any(not torch.equal(value, state[f"network.{name}"]) for name, value in kept.items())
+
+
+def test_what_is_copied_starts_less_sure_and_what_is_new_has_statistics(
+    run: tuple[Path, str], cache: Path, tmp_path: Path
+) -> None:
+    """The collection and the vision model are those of the run, from its cache."""
+
+    def transferred(transfer: str) -> tuple[Run, AffordanceModule, dict]:
+        typed = (*TINY, "model.width=4", *RUN, "logger=none", f"paths.cache={cache}", f"transfer={transfer}")
+        job = Run(composed(typed), tmp_path / transfer)
+        collection = job.collect()
+        vision = job.pretrain(collection)
+        return job, job.transfer(collection, vision)[0], vision
+
+    job, module, vision = transferred("full")
+    seeing = job._network(0)
+    seeing.load_state_dict(vision["network"])
+    x = torch.randn(1, 4, 144, 144, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        assert torch.allclose(module.network.eval()(x), seeing.eval()(x) / 4, atol=1e-5)
+    _, module, _ = transferred("backbone")
+    fresh = [layer for name, layer in batchnorms(module.network).items() if name.startswith("head.")]
+    assert fresh
+    assert all(layer.running_mean.abs().max() > 0 for layer in fresh)
 
 
 def test_priorities_follow_predictions(run: tuple[Path, str]) -> None:

@@ -5,7 +5,9 @@ from types import SimpleNamespace
 import lightning as L
 import pytest
 import torch
+from see2act.config import composed
 from see2act.modules.fcn7 import FCN7
+from see2act.modules.rpn import RPN
 from see2act.modules.vision import VisionModule
 from torch.utils.data import DataLoader
 
@@ -73,6 +75,19 @@ def test_each_of_several_processes_augments_by_itself() -> None:
     assert torch.equal(turned[0], _module()._turn(x, y)[0])  # as one process alone
     assert not torch.equal(turned[0], turned[1])
     assert not torch.equal(turned[1], turned[2])
+
+
+@pytest.mark.slow
+def test_the_rpn_learns_in_several_processes_though_some_of_it_is_not_used() -> None:
+    torch.manual_seed(0)
+    module = VisionModule(RPN("resnet18"), lr=1e-3, weight_decay=0.0, pos_weight=1.0, seed=0)
+    trainer = L.Trainer(
+        **{"accelerator": "cpu", "strategy": composed(["trainer=ddp"]).trainer.strategy, "devices": 2, "max_epochs": 1},
+        **{"enable_checkpointing": False, "enable_model_summary": False, "enable_progress_bar": False, "logger": False},
+        num_sanity_val_steps=0,
+    )
+    trainer.fit(module, DataLoader(_data(8), 2), DataLoader(_data(2), 1))
+    assert float(trainer.callback_metrics["vision/val_loss"]) > 0
 
 
 @pytest.mark.parametrize(("strategy", "devices"), [("auto", 1), ("ddp_fork_find_unused_parameters_true", 2)])
