@@ -376,6 +376,8 @@ NOT_NEGATIVE = (
     *(f"finetune.replay.{key}" for key in ("alpha", "beta", "turn", "tint")),
 )
 """Keys that must be at least 0."""
+PHYSICAL = ("primitive.end_effector", "collect.primitive.end_effector", "robot", "camera")
+"""Nodes of see2act's own classes, all of whose numbers are lengths, times, forces and the like; lists are positions."""
 LOOPS = "use pretrain.epochs and finetune.attempts"
 OVERRULED = {
     "precision": "use precision=bf16 or precision=fp32",
@@ -403,6 +405,9 @@ def validate(cfg: DictConfig) -> None:
         raise ConfigError(reason)
     _check_words(cfg)
     _check_numbers(cfg)
+    for path in PHYSICAL:
+        _check_physical(OmegaConf.select(cfg, path), path)
+    _check_model(cfg)
     _check_footprint(cfg)
     _check_lengths(cfg)
     _check_vision(cfg)
@@ -444,6 +449,25 @@ def _check_numbers(cfg: DictConfig) -> None:
         raise ConfigError(f"finetune.replay.floor={cfg.finetune.replay.floor} must be above 0, or some are never drawn")
     if not 0 < cfg.finetune.logit_scale < math.inf:
         raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
+
+
+def _check_physical(node: Any, path: str) -> None:
+    if not isinstance(node, DictConfig):
+        return
+    ours = str(node.get("_target_", "")).startswith("see2act.")
+    for key, value in node.items():
+        _check_physical(value, f"{path}.{key}")
+        if ours and isinstance(value, int | float):
+            _at_least(f"{path}.{key}", value, 0)
+
+
+def _check_model(cfg: DictConfig) -> None:
+    """Refuse keys of the model that its network does not take: ``+model.widht=64`` would train another one than is meant."""
+    written = OmegaConf.to_yaml(cfg.model)
+    for key in map(str, cfg.model):
+        if key not in ("name", "rates", "network") and f"${{model.{key}}}" not in written:
+            known = ", ".join(key for key in map(str, cfg.model) if f"${{model.{key}}}" in written)
+            raise ConfigError(f"model.{key} is read by nothing: the network of model={cfg.model.name} takes {known}")
 
 
 def _check_footprint(cfg: DictConfig) -> None:
