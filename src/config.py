@@ -455,7 +455,8 @@ def _check_physical(node: Any, path: str) -> None:
     if not isinstance(node, DictConfig):
         return
     ours = str(node.get("_target_", "")).startswith("see2act.")
-    for key, value in node.items():
+    for key in map(str, node):
+        value: Any = node[key]
         _check_physical(value, f"{path}.{key}")
         if ours and isinstance(value, int | float):
             _at_least(f"{path}.{key}", value, 0)
