@@ -69,10 +69,10 @@ def check_run(cfg: DictConfig) -> None:
     check_parts(cfg)
     for group in ("trainer", "logger", "collect.primitive"):
         check_arguments(OmegaConf.select(cfg, group), group)
-    if cfg.task.label:
+    learns_to_see = cfg.task.label and not cfg.task.weights
+    if learns_to_see:
         _check_shape(cfg)
-    if cfg.task.label and not cfg.task.weights:
-        _check_trainer(cfg)
+    _check_trainer(cfg, {} if learns_to_see else ONE_PROCESS)
 
 
 def _check_shape(cfg: DictConfig) -> None:
@@ -84,25 +84,29 @@ def _check_shape(cfg: DictConfig) -> None:
         network = instantiate(cfg.model.network).eval()
         try:
             given = tuple(network(torch.zeros(1, 4, rows, cols)).shape)
-        except RuntimeError as error:
+        except (RuntimeError, ValueError, AssertionError) as error:
             raise ConfigError(
                 f"model={cfg.model.name} takes no heightmap of {rows} x {cols} pixels: {one_line(error)}"
             ) from None
     if given != (1, 1, rows, cols):
         raise ConfigError(
-            f"model={cfg.model.name} gives {' x '.join(map(str, given[2:]))} logits for a heightmap of {rows} x {cols} pixels: "
-            f"choose workspace.length and workspace.width so that both are multiples of {network.stride}"
+            f"model={cfg.model.name} gives {given} for a heightmap of {rows} x {cols} pixels, not (1, 1, {rows}, {cols}): "
+            f"choose workspace.length and workspace.width so that both are multiples of {network.stride} pixels"
         )
 
 
-def _check_trainer(cfg: DictConfig) -> None:
+ONE_PROCESS = {"accelerator": "cpu", "devices": 1, "strategy": "auto"}
+"""What fine-tuning takes of the trainer: the robot waits for each decision. Only pre-training has use for more."""
+
+
+def _check_trainer(cfg: DictConfig, here: dict[str, Any]) -> None:
     """Build one, since what it asks for need not be in this machine."""
     from lightning.pytorch.utilities.exceptions import MisconfigurationException
     from see2act.quiet import quiet
 
     quiet()
     try:
-        instantiate(cfg.trainer)()
+        instantiate(cfg.trainer)(**here)
     except (HydraException, MisconfigurationException, ValueError, TypeError, RuntimeError) as error:
         raise ConfigError(f"this machine has no such trainer: {one_line(error)}") from None
 

@@ -377,7 +377,7 @@ NOT_NEGATIVE = (
 )
 """Keys that must be at least 0."""
 PHYSICAL = ("primitive.end_effector", "collect.primitive.end_effector", "robot", "camera")
-"""Nodes of see2act's own classes, all of whose numbers are lengths, times, forces and the like; lists are positions."""
+"""Where see2act's own classes have numbers that are lengths, times, forces and the like; lists are positions."""
 LOOPS = "use pretrain.epochs and finetune.attempts"
 OVERRULED = {
     "precision": "use precision=bf16 or precision=fp32",
@@ -387,7 +387,7 @@ OVERRULED = {
     "logger": "use logger=",
     "default_root_dir": "use hydra.run.dir=",
 }
-"""The trainer's keys that a run sets itself, and what to type instead."""
+"""The trainer's keys that a run sets itself or that would end its loops, and what to type instead."""
 CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
 """Groups whose names a result has."""
 WORD = r"\w+"
@@ -417,7 +417,8 @@ def _check_words(cfg: DictConfig) -> None:
     _choice("labels", cfg.labels, ("truth", "vision"))
     _choice("precision", cfg.precision, ("bf16", "fp32"))
     for key, mend in OVERRULED.items():
-        if cfg.trainer.get(key, False) is not False:
+        value = cfg.trainer.get(key)
+        if value is not None and value is not False and value != -1:  # Lightning's own words for none
             raise ConfigError(f"trainer.{key} has no place here: {mend}")
     for group in CHOICES:
         name = OmegaConf.select(cfg, f"{group}.name")
@@ -455,20 +456,21 @@ def _check_physical(node: Any, path: str) -> None:
     if not isinstance(node, DictConfig):
         return
     ours = str(node.get("_target_", "")).startswith("see2act.")
-    for key in map(str, node):
+    for key in (str(key) for key in node if not OmegaConf.is_missing(node, key)):
         value: Any = node[key]
         _check_physical(value, f"{path}.{key}")
-        if ours and isinstance(value, int | float):
-            _at_least(f"{path}.{key}", value, 0)
+        negative = isinstance(value, int | float) and value < 0 and key != "depth"  # a pinch above the surface it aims at
+        if ours and (negative or (isinstance(value, float) and math.isnan(value))):
+            raise ConfigError(f"{path}.{key}={value} is no length, force or time: it must be at least 0")
 
 
 def _check_model(cfg: DictConfig) -> None:
-    """Refuse keys of the model that its network does not take: ``+model.widht=64`` would train another one than is meant."""
-    written = OmegaConf.to_yaml(cfg.model)
-    for key in map(str, cfg.model):
-        if key not in ("name", "rates", "network") and f"${{model.{key}}}" not in written:
-            known = ", ".join(key for key in map(str, cfg.model) if f"${{model.{key}}}" in written)
-            raise ConfigError(f"model.{key} is read by nothing: the network of model={cfg.model.name} takes {known}")
+    """Refuse keys of the model that nothing reads: ``+model.widht=64`` would train another one than is meant."""
+    interpolations = re.findall(r"\$\{.*?\}", OmegaConf.to_yaml(cfg))
+    read = {"name", "rates", "network", *cfg.model.get("network", {}), *re.findall(r"\w+", " ".join(interpolations))}
+    if unread := [str(key) for key in cfg.model if key not in read]:
+        known = ", ".join(str(key) for key in cfg.model if key in read)
+        raise ConfigError(f"model.{unread[0]} is read by nothing: model={cfg.model.name} has {known}")
 
 
 def _check_footprint(cfg: DictConfig) -> None:

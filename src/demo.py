@@ -14,6 +14,7 @@ from pathlib import Path
 
 from see2act.config import ConfigError, composed, validate
 from see2act.files import writable
+from see2act.robot.types import RobotError
 
 MODELS = Path(__file__).parents[1] / "models"
 
@@ -30,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     try:
         clear(args.overrides, args.checkpoint, args.out, not args.no_film)
-    except (ConfigError, ModelFileError) as error:
+    except (ConfigError, ModelFileError, RobotError) as error:
         sys.exit(f"see2act: {error}")
 
 

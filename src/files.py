@@ -35,9 +35,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def sweep_up(folder: Path) -> None:
-    """Remove what processes that were killed while writing left in a folder; nobody else may be at work in it."""
-    for partial in folder.rglob(".*.partial"):
-        partial.unlink(missing_ok=True)
+    """Remove what processes that were killed while writing left in a folder and in those in it; nobody may be at work there.
+
+    No deeper: a run's folder may be one that holds others, or the cache.
+    """
+    for pattern in (".*.partial", "*/.*.partial"):
+        for partial in folder.glob(pattern):
+            partial.unlink(missing_ok=True)
 
 
 def read_json(path: Path) -> Any:

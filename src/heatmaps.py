@@ -17,6 +17,7 @@ from typing import Any
 from omegaconf import OmegaConf
 from see2act.config import ConfigError, composed, validate
 from see2act.files import writable
+from see2act.robot.types import RobotError
 
 TASKS = ("none", "imagenet", "edge", "corner", "center", "foreground", "normal", "coco")
 TRANSFERS = {"none": "none", "imagenet": "backbone"}
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     args = parser.parse_intermixed_args(arguments)
     try:
         missing = draw(args.overrides, args.tasks.split(","), args.run, args.scenes, args.out)
-    except ConfigError as error:
+    except (ConfigError, RobotError) as error:
         sys.exit(f"see2act: {error}")
     for task, reason in missing.items():
         print(f"left out: {task}: {reason}")
@@ -47,7 +48,7 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
     Raises:
         ConfigError: The configuration is impossible, a task is unknown, or the run's model is another one.
     """
-    _check(overrides, tasks, scenes, out)
+    _check(overrides, scenes, out)
     import torch  # torch and lightning take seconds, which --help should not
     from see2act import build, figures
     from see2act.modules.transfer import TransferError
@@ -59,9 +60,9 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
         raise ConfigError(f"{last} is not there: --run takes the folder of a finished run")
     overrides = [*(_of_run(run, overrides) if run else ()), *overrides]
     build.check_parts(composed([*overrides, "task=none", "transfer=none"]))
+    configs = {task: composed([*overrides, f"task={task}", f"transfer={TRANSFERS.get(task, 'full')}"]) for task in tasks}
     with TemporaryDirectory() as scratch:
-        for task in tasks:
-            cfg = composed([*overrides, f"task={task}", f"transfer={TRANSFERS.get(task, 'full')}"])
+        for task, cfg in configs.items():
             torch.set_num_threads(cfg.threads)
             job = Run(cfg, Path(scratch) / task)
             try:
@@ -91,12 +92,10 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
     return missing
 
 
-def _check(overrides: Sequence[str], tasks: Sequence[str], scenes: int, out: Path) -> None:
+def _check(overrides: Sequence[str], scenes: int, out: Path) -> None:
     for override in overrides:
         if _key(override) in ("task", "transfer"):
             raise ConfigError(f"{override} has no effect here: use --tasks {TASKS[2]},{TASKS[3]}")
-    if unknown := [task for task in tasks if task not in TASKS]:
-        raise ConfigError(f"--tasks has {', '.join(unknown)}: choose from {','.join(TASKS)}")
     if scenes < 1:
         raise ConfigError(f"--scenes {scenes} is too small: it must be at least 1")
     if not writable(out):
@@ -114,7 +113,8 @@ def _of_run(run: Path, typed: Sequence[str]) -> list[str]:
         raise ConfigError(f"{path} is not there: --run takes the folder of a finished run")
     anew = {_key(override) for override in typed} | {"transfer", "force"}
     of_run: Any = OmegaConf.to_container(OmegaConf.load(path))
-    return [*_searched(run), *(o for o in of_run if _key(o) not in anew and _key(o).split(".")[0] != "task")]
+    searched = [] if "hydra.searchpath" in anew else _searched(run)  # Hydra heeds the first of two
+    return [*searched, *(o for o in of_run if _key(o) not in anew and _key(o).split(".")[0] != "task")]
 
 
 def _searched(run: Path) -> list[str]:

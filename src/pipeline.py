@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -256,11 +257,14 @@ class Run:
         module = VisionModule(network, cfg.pretrain.lr, cfg.pretrain.weight_decay, weight, seed_for("augment", seed))
         trainer = self._trainer(max_epochs=cfg.pretrain.epochs)
         self._fit_to_the_end(trainer, module, data)
+        val_loss = float(trainer.callback_metrics["vision/val_loss"])
+        if not math.isfinite(val_loss):
+            raise ConfigError(f"the vision model has diverged (loss {val_loss}): lower pretrain.lr={cfg.pretrain.lr}")
         checkpoint = {
             "task": cfg.task.name,
             "network": network.state_dict(),
             "positive_share": data.positive_share,
-            "val_loss": float(trainer.callback_metrics["vision/val_loss"]),
+            "val_loss": val_loss,
             "average_precision": self._average_precision(module, held_out),
         }
         with replacing(path) as partial:
@@ -312,8 +316,7 @@ class Run:
                 lambda step: self._evaluate_at(module, step),
                 cfg.primitive.name,
             )
-            # The robot waits for each decision: one process, beside it. Only pre-training has use for more.
-            here = {"accelerator": "cpu", "devices": 1, "strategy": "auto", "enable_progress_bar": False}
+            here = {**build.ONE_PROCESS, "enable_progress_bar": False}
             trainer = self._trainer(max_epochs=self.attempts, callbacks=[loop], limit_val_batches=0, **here)
             module.train()  # Lightning keeps the mode it finds
             self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 from scipy.special import expit
+from see2act.config import ConfigError
 from see2act.robot.types import Heightmap
 
 
@@ -90,10 +91,12 @@ class Policy:
         looks elsewhere.
 
         Raises:
-            ValueError: A logit is not finite.
+            ConfigError: A logit is not finite.
         """
         if not np.isfinite(logits).all():
-            raise ValueError("affordances are not finite: the network has diverged, lower finetune.*_lr")
+            raise ConfigError(
+                "affordances are not finite: the network diverged, lower finetune.backbone_lr and finetune.head_lr"
+            )
         allowed = self._allowed(logits.shape, heightmap)
         masked = np.where(allowed, logits, -np.inf)
         best = int(masked.argmax())

@@ -6,7 +6,7 @@ import json
 import platform
 import subprocess
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +57,18 @@ class Progress:
 
 
 def packages() -> dict[str, str]:
-    """Versions of Python and of the packages that decide numbers."""
-    return {"python": ".".join(platform.python_version_tuple()[:2]), **{name: version(name) for name in PACKAGES}}
+    """Versions of Python and of the packages that decide numbers.
+
+    ``none`` of a package that is not here: a robot of one's own need not have the meshes of ours.
+    """
+    return {"python": ".".join(platform.python_version_tuple()[:2]), **{name: _version(name) for name in PACKAGES}}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "none"
 
 
 @cache

@@ -130,9 +130,9 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("+figures.scens=3", ["scens"]),
         ("+finetune.attemps=3", ["finetune.attemps", "averaging"]),
         ("+collect.primitive.lrr=3", ["collect.primitive.lrr", "end_effector"]),
-        ("+model.widht=64", ["model.widht is read by nothing", "takes width"]),
+        ("+model.widht=64", ["model.widht is read by nothing", "model=fcn7 has name, width"]),
         ("primitive.end_effector.cup_radius=-1", ["primitive.end_effector.cup_radius=-1", "at least 0"]),
-        ("camera.noise.sigma=nan", ["camera.noise.sigma=nan", "is no number"]),
+        ("camera.noise.sigma=nan", ["camera.noise.sigma=nan", "at least 0"]),
         ("robot.bin.wall_height=-0.1", ["robot.bin.wall_height=-0.1", "at least 0"]),
         ("+trainer.gradient_clip=1", ["trainer has no parameter 'gradient_clip'", "gradient_clip_val"]),
         ("+trainer.max_epochs=50", ["trainer.max_epochs has no place here", "pretrain.epochs"]),
@@ -145,7 +145,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("camera.target=[0.45,0,0.54]", ["give no view", "position and target apart"]),
         ("camera.position=[a,b,c]", ["camera.position=['a', 'b', 'c']", "three numbers"]),
         ("robot.arm.tool_speed=0", ["robot.arm.tool_speed=0", "above 0"]),
-        ("workspace.length=0.365", ["144 x 144 logits for a heightmap of 146 x 144", "multiples of 4"]),
+        ("workspace.length=0.365", ["gives (1, 1, 144, 144) for a heightmap of 146 x 144", "multiples of 4 pixels"]),
         ("workspace.pixel=0.0035", ["102.86 pixels of 0.0035 m", "give 0.3605"]),
         ("objects.density=-5", ["objects.density=-5", "above 0"]),
         ("logger.offline=maybe", ["logger.offline=maybe", "must be bool"]),
@@ -169,6 +169,30 @@ def test_refusals_name_the_mend_in_one_line(
     for word in words:
         assert word in text, text
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["model.network.width=8"],  # in the place of model.width, which then nothing reads
+        ["+model.encoder={width: 8}", "model.network.width=${model.encoder.width}"],
+        ["+model.deep=8", "model.network.width=${oc.select:model.deep,4}"],
+        ["primitive=grasp", "primitive.end_effector.depth=-0.005"],
+        ["primitive.end_effector.contact_limit=inf"],
+        ["trainer.logger=null", "+trainer.max_steps=-1"],
+        ["task.weights=vision.ckpt", "workspace.length=0.365"],  # fine-tuning pads its heightmaps
+    ],
+)
+def test_what_makes_sense_is_let_through(overrides: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "vision.ckpt").touch()
+    _check(overrides)
+
+
+def test_the_trainer_is_checked_where_nothing_is_learned_beforehand() -> None:
+    with pytest.raises(ConfigError, match="this machine has no such trainer"):
+        _check(["task=none", "transfer=none", "+trainer.gradient_clip_algorithm=foo", "+trainer.gradient_clip_val=1.0"])
+    _check(["task=none", "transfer=none", "trainer=gpu"])  # fine-tuning is on the CPU
 
 
 @pytest.mark.parametrize("override", ["model.backbone=resnet7", "model.depth=late", "model.anchors=0"])

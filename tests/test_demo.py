@@ -42,7 +42,8 @@ def test_it_tries_until_the_bin_is_empty_and_leaves_pictures(
 
 @pytest.mark.slow
 def test_the_film_can_be_played(model: Path, tmp_path: Path) -> None:
-    clear(["objects.kinds=1", "objects.copies=1", "primitive=suction"], model, tmp_path, film=True)
+    few = ("objects.kinds=1", "objects.copies=1", "evaluate.attempts.unseen=2")
+    clear([*few, "primitive=suction"], model, tmp_path, film=True)
     film = cv2.VideoCapture(str(tmp_path / "suction-diverse-seed0" / "clearing.mp4"))
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) > 15
     assert film.read()[0]

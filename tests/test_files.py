@@ -32,7 +32,11 @@ def test_what_a_kill_left_half_written_is_swept_up(tmp_path: Path) -> None:
         left.write_text("half of")
     assert once(tmp_path / "thing", lambda: write_json(tmp_path / "thing", 1))
     assert {path.name for path in tmp_path.iterdir()} == {"checkpoints", "thing", "thing.lock"}
+    elsewhere = tmp_path / ".cache" / "collections" / ".other.npz.7.partial"
+    elsewhere.parent.mkdir(parents=True)
+    elsewhere.write_text("of a process that is at work")
     sweep_up(tmp_path)
+    assert elsewhere.exists()
     assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["kept.json"]
 
 

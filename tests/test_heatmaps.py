@@ -14,7 +14,7 @@ from see2act.heatmaps import _of_run, main
     ("arguments", "words"),
     [
         (["--scenes", "0"], "--scenes 0 is too small"),
-        (["--tasks", "edge,edges"], "--tasks has edges: choose from none,imagenet,edge"),
+        (["--tasks", "edge,edges"], "edges.*choose from the options of .*corner"),
         (["task=edge"], "task=edge has no effect here: use --tasks"),
         (["transfer=backbone"], "transfer=backbone has no effect here"),
         (["--out", __file__], "cannot be written"),
@@ -39,5 +39,9 @@ def test_a_run_says_what_it_was_typed_with(tmp_path: Path) -> None:
     OmegaConf.save(OmegaConf.create(typed), tmp_path / ".hydra" / "overrides.yaml")
     places = [f"file://{folder.parent}"]
     OmegaConf.save(OmegaConf.create({"hydra": {"searchpath": places}}), tmp_path / ".hydra" / "hydra.yaml")
+    assert "seed=4" in _of_run(tmp_path, [])
+    assert "seed=4" not in _of_run(tmp_path, ["seed=5"])
+    elsewhere = "hydra.searchpath=[elsewhere]"
+    assert not any("searchpath" in override for override in _of_run(tmp_path, [elsewhere]))
     cfg = composed([*_of_run(tmp_path, ["seed=5"]), "seed=5", "task=none", "transfer=none"])
     assert (cfg.objects.name, cfg.seed, cfg.finetune.attempts) == ("tins", 5, cfg.primitive.benchmark_attempts)

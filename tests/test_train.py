@@ -13,13 +13,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
-from see2act.config import composed
+from see2act.config import ConfigError, composed
+from see2act.datamodules.collect import Collection
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.pipeline import Run
+from see2act.robot.types import Heightmap
 from torchvision.models.detection import fasterrcnn_resnet50_fpn
 
 TRAIN = Path(__file__).parents[1] / "train.py"
@@ -206,6 +209,23 @@ def test_one_vision_model_serves_both_primitives_however_they_learn(config: Call
     assert kept("primitive=grasp") == kept("primitive=suction") == kept("primitive.lr=0.1", "finetune.head_lr=0.2")
     others = {kept(), kept("pretrain.lr=0.1"), kept("model.width=4"), kept("task=corner"), kept("labels=vision")}
     assert len(others) == 5
+
+
+def test_a_vision_model_that_diverged_is_not_kept(cache: Path, tmp_path: Path) -> None:
+    job = Run(composed([*TINY, "model.width=4", f"paths.cache={cache}", "task=foreground", "pretrain.lr=1e30"]), tmp_path)
+    with pytest.raises(ConfigError, match=r"the vision model has diverged .*: lower pretrain\.lr"):
+        job.pretrain(job.collect())
+    assert not job.vision_path().exists()
+
+
+def test_a_task_that_labels_nothing_held_out_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    color, height, valid = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 8, 8), np.float32), np.ones((2, 8, 8), bool)
+    seen = {"color": color, "height": height, "valid": valid}
+    bins = {**seen, **{f"clean_{name}": values for name, values in seen.items()}, "body": np.full((2, 8, 8), -1)}
+    job = Run(composed(["task=foreground", "transfer=full"]), tmp_path)
+    monkeypatch.setattr(job, "held_out", lambda: Collection(bins, Heightmap(color[0], height[0], valid[0])))
+    with pytest.raises(ConfigError, match=r"labels nothing in 2 held-out scenes: raise pretrain\.test_scenes"):
+        job._held_out_labels()
 
 
 def test_time_before_an_interruption_counts(config: Callable, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
+from see2act.config import ConfigError
 from see2act.modules.tint import tints
 from torch import Tensor
 
@@ -78,7 +79,7 @@ class Replay:
         col int64, label and weight float32, mirror (B, 2) bool, turn (B,), shift (B, 2) and tint (B, 3, 4) float32.
 
         Raises:
-            ValueError: Priorities are not finite and positive, since the network has diverged.
+            ConfigError: Priorities are not finite and positive, since the network has diverged.
         """
         drawn = self._priorities.draw(size, self._rng)
         drawn[0] = len(self) - 1
@@ -188,7 +189,10 @@ class _Priorities:
         """Indices, with replacement."""
         upto = np.cumsum(self._sums)
         if not 0 < upto[-1] < np.inf:
-            raise ValueError("replay priorities are not finite and positive: the network has diverged, lower finetune.*_lr")
+            raise ConfigError(
+                "replay priorities are not finite and positive: the network has diverged, lower "
+                "finetune.backbone_lr and finetune.head_lr"
+            )
         target = rng.random(size) * upto[-1]
         blocks = np.searchsorted(upto, target, side="right").clip(0, (self._count - 1) // BLOCK)
         drawn = np.empty(size, int)

@@ -46,13 +46,14 @@ class VisionDataModule(L.LightningDataModule):
 
 
 def channel_statistics(collection: Collection) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of R, G, B in 0..1 and height in metres, over all observations."""
+    """Mean and standard deviation of R, G, B in 0..1 and height in metres, over all observations; 1 for a constant channel."""
     mean, square = np.zeros(4), np.zeros(4)
     for color, height in zip(collection.arrays["color"], collection.arrays["height"], strict=True):  # one by one: they are many
         pixels = np.dstack([color / 255, height]).reshape(-1, 4)
         mean += pixels.mean(axis=0) / len(collection)
         square += (pixels**2).mean(axis=0) / len(collection)
-    std = np.sqrt(square - mean**2)
+    variance = square - mean**2
+    std = np.sqrt(np.where(variance > 1e-12, variance, 1))  # of a constant channel, rounding leaves anything, even less than 0
     return torch.tensor(mean, dtype=torch.float32), torch.tensor(std, dtype=torch.float32)
 
 

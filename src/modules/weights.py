@@ -95,7 +95,8 @@ def task_of(path: Path) -> str | None:
         TransferError: It is not there, broken, or would run code.
     """
     content = _content(path)
-    return str(content["task"]) if isinstance(content, Mapping) and isinstance(content.get("task"), str) else None
+    ours = isinstance(content, Mapping) and "network" in content and isinstance(content.get("task"), str)
+    return str(content["task"]) if ours else None
 
 
 def _content(path: Path) -> Any:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from scipy.spatial import QhullError
+from see2act.robot.packages import package_file
 from see2act.robot.types import RobotError
 
 
@@ -51,13 +51,9 @@ def half_round(radius: float, length: float) -> trimesh.Trimesh:
 
 def rgb_object(code: str, scale: float = 1.0) -> list[trimesh.Trimesh]:
     """One of DeepMind's RGB objects (Lee et al. 2021), from the package dm-robotics-manipulation."""
-    ending = f"/{code}_"
-    for file in metadata.files("dm-robotics-manipulation") or []:
-        if "rgb_v1.3/meshes" in str(file) and ending in str(file) and str(file).endswith(".stl"):
-            mesh = read_mesh(Path(str(file.locate()))).convex_hull
-            mesh.apply_scale(scale)
-            return [mesh]
-    raise RobotError(f"mesh '{code}' is not in the installed package dm-robotics-manipulation: run `make install`")
+    mesh = read_mesh(package_file("dm-robotics-manipulation", f"*rgb_v1.3/meshes*/{code}_*.stl")).convex_hull
+    mesh.apply_scale(scale)
+    return [mesh]
 
 
 def cylinder(radius: float, height: float, at: tuple[float, float, float] = (0, 0, 0), sides: int = 24) -> trimesh.Trimesh:

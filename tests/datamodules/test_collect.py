@@ -8,6 +8,7 @@ import pytest
 from see2act import build
 from see2act.datamodules.collect import ARRAYS, SCENES_IN_A_ROW, Collection, _scenes, collect
 from see2act.datamodules.vision import channel_statistics
+from see2act.robot.types import Heightmap
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +62,10 @@ def test_statistics_are_those_of_the_channels(collections: list[Collection]) -> 
     assert std[3].item() == pytest.approx(height.std(), rel=1e-3)
     assert (mean[:3] > 0.1).all()
     assert (mean[:3] < 0.9).all()
+
+
+def test_statistics_of_channels_that_are_constant() -> None:
+    alike = {"color": np.full((3, 4, 4, 3), 200, np.uint8), "height": np.full((3, 4, 4), 0.1, np.float32)}
+    mean, std = channel_statistics(Collection(alike, Heightmap(*(np.empty(0),) * 3)))
+    assert mean.tolist() == pytest.approx([200 / 255] * 3 + [0.1])
+    assert std.tolist() == [1, 1, 1, 1]

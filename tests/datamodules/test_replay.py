@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 import torch
+from see2act.config import ConfigError
 from see2act.datamodules.replay import BLOCK, Replay, _Priorities
 
 
@@ -76,7 +77,7 @@ def test_priorities_that_are_no_numbers_end_the_run() -> None:
     replay = _filled(5)
     replay.sample(3)
     replay.update(np.array([0.1, np.nan, 0.2]))
-    with pytest.raises(ValueError, match="the network has diverged"):
+    with pytest.raises(ConfigError, match="the network has diverged"):
         replay.sample(3)
 
 

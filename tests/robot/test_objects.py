@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 from hydra.utils import instantiate
+from see2act import results
 from see2act.datamodules.labels import plane_fit
 from see2act.robot import objects
 from see2act.robot.household import HOUSEHOLD
 from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape
+from see2act.robot.packages import package_file
 from see2act.robot.solids import read_mesh
 from see2act.robot.types import RobotError
 
@@ -136,3 +138,11 @@ def test_however_it_lies_some_face_suits_the_cup(name: str) -> None:
         tilt, rms = plane_fit(np.nan_to_num(height, nan=-1.0), pixel, rim)
         suits = (tilt < np.radians(27)) & (rms < 0.0012)
         assert (suits & np.isfinite(height)).any(), f"lying with probability {probability:.2f} it shows no face: {pose[:3, :3]}"
+
+
+def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    for distribution in ("no-such-package", "numpy"):
+        with pytest.raises(RobotError, match=f"not in an installed package {distribution}: run `make install`"):
+            package_file(distribution, "*/ur5.urdf")
+    monkeypatch.setattr(results, "PACKAGES", ("numpy", "no-such-package"))
+    assert results.packages() == {"python": "3.11", "numpy": np.__version__, "no-such-package": "none"}
