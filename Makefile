@@ -27,7 +27,7 @@ smoke: install  ## every cell of the benchmark once, tiny, and the report of it
 	$(BIN)/python train.py -m experiment=smoke $(ARGS)
 	$(BIN)/python report.py multirun/smoke
 
-bench: install  ## about 15 minutes; nothing else should run beside it
+bench: install  ## about 25 minutes; nothing else should run beside it
 	$(BIN)/python -m benchmarks.speed $(ARGS)
 
 check: install
