@@ -14,7 +14,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
-from see2act.config import ConfigError, composed, validate
+from see2act.checks import validate
+from see2act.config import ConfigError, composed
 from see2act.files import write_json
 from tqdm import tqdm
 

@@ -231,12 +231,12 @@ def _backward(module: AffordanceModule, logits: Tensor, batch: dict[str, Tensor]
     F.binary_cross_entropy_with_logits(logits, batch["label"]).backward()
 
 
-def _same_gradient(ours: AffordanceModule, plain: AffordanceModule) -> None:
-    for (name, a), b in zip(ours.named_parameters(), plain.parameters(), strict=True):
+def _same_gradient(part: AffordanceModule, plain: AffordanceModule) -> None:
+    for (name, a), b in zip(part.named_parameters(), plain.parameters(), strict=True):
         if (a.grad is None) != (b.grad is None):
             raise RuntimeError(f"only one of the learning steps has a gradient in {name}")
         if a.grad is not None and b.grad is not None and (a.grad - b.grad).abs().max() > GRADIENT * b.grad.abs().max():
-            raise RuntimeError(f"the fast learning step has another gradient than the plain one, in {name}")
+            raise RuntimeError(f"the learning step on a part has another gradient than that on the whole, in {name}")
 
 
 def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:

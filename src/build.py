@@ -9,7 +9,8 @@ from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from see2act.config import ConfigError, check_arguments, one_line
+from see2act.checks import check_arguments
+from see2act.config import ConfigError, one_line
 from see2act.datamodules.labels import Task
 from see2act.policy import Policy
 from see2act.robot.robot import SimulatedRobot

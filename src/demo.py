@@ -12,7 +12,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from see2act.config import ConfigError, composed, validate
+from see2act.checks import validate
+from see2act.config import ConfigError, composed
 from see2act.files import writable
 from see2act.robot.types import RobotError
 

@@ -15,7 +15,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from omegaconf import OmegaConf
-from see2act.config import ConfigError, composed, validate
+from see2act.checks import validate
+from see2act.config import ConfigError, composed
 from see2act.files import writable
 from see2act.robot.types import RobotError
 

@@ -21,17 +21,8 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from see2act.config import (
-    Config,
-    ConfigError,
-    check_keys,
-    composed_as_typed,
-    config_hash,
-    illegal_cell,
-    one_line,
-    register,
-    validate,
-)
+from see2act.checks import check_keys, illegal_cell, validate
+from see2act.config import Config, ConfigError, composed_as_typed, config_hash, one_line, register
 from see2act.files import DamagedFile, read_json, sweep_up, writable
 from see2act.results import versions
 from see2act.robot.types import RobotError

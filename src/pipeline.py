@@ -316,8 +316,9 @@ class Run:
                 lambda step: self._evaluate_at(module, step),
                 cfg.primitive.name,
             )
-            here = {**build.ONE_PROCESS, "enable_progress_bar": False}
-            trainer = self._trainer(max_epochs=self.attempts, callbacks=[loop], limit_val_batches=0, **here)
+            trainer = self._trainer(
+                max_epochs=self.attempts, callbacks=[loop], limit_val_batches=0, enable_progress_bar=False, **build.ONE_PROCESS
+            )
             module.train()  # Lightning keeps the mode it finds
             self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)
             if data.attempts != self.attempts:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 from scipy.special import expit
-from see2act.config import ConfigError
+from see2act.config import DIVERGED, ConfigError
 from see2act.robot.types import Heightmap
 
 
@@ -94,9 +94,7 @@ class Policy:
             ConfigError: A logit is not finite.
         """
         if not np.isfinite(logits).all():
-            raise ConfigError(
-                "affordances are not finite: the network diverged, lower finetune.backbone_lr and finetune.head_lr"
-            )
+            raise ConfigError(f"affordances are not finite: {DIVERGED}")
         allowed = self._allowed(logits.shape, heightmap)
         masked = np.where(allowed, logits, -np.inf)
         best = int(masked.argmax())

@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
-from see2act.config import ConfigError, composed, config_hash, illegal_cell, validate
+from see2act.checks import illegal_cell, validate
+from see2act.config import ConfigError, composed, config_hash
 from see2act.files import DamagedFile
 from see2act.main import _alone, _check, _check_sweep, _job, _move_aside, _set_aside, identity, refuse_foreign, run
 from see2act.results import versions

@@ -152,7 +152,7 @@ def test_a_network_that_has_diverged_does_not_pick(flat: Heightmap) -> None:
     maps = np.zeros((1, 40, 40))
     maps[0, 3, 4] = np.nan
     for temperature in (0.0, 0.02):
-        with pytest.raises(ConfigError, match=r"the network diverged, lower finetune\.backbone_lr"):
+        with pytest.raises(ConfigError, match=r"the network has diverged: lower finetune\.backbone_lr"):
             Policy("argmax", False, 0.0025).choose(maps, flat, temperature, np.random.default_rng(0))
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
-from see2act.config import ConfigError
+from see2act.config import DIVERGED, ConfigError
 from see2act.modules.tint import tints
 from torch import Tensor
 
@@ -189,10 +189,7 @@ class _Priorities:
         """Indices, with replacement."""
         upto = np.cumsum(self._sums)
         if not 0 < upto[-1] < np.inf:
-            raise ConfigError(
-                "replay priorities are not finite and positive: the network has diverged, lower "
-                "finetune.backbone_lr and finetune.head_lr"
-            )
+            raise ConfigError(f"replay priorities are not finite and positive: {DIVERGED}")
         target = rng.random(size) * upto[-1]
         blocks = np.searchsorted(upto, target, side="right").clip(0, (self._count - 1) // BLOCK)
         drawn = np.empty(size, int)

@@ -77,7 +77,7 @@ def test_priorities_that_are_no_numbers_end_the_run() -> None:
     replay = _filled(5)
     replay.sample(3)
     replay.update(np.array([0.1, np.nan, 0.2]))
-    with pytest.raises(ConfigError, match="the network has diverged"):
+    with pytest.raises(ConfigError, match=r"the network has diverged: lower finetune\.backbone_lr"):
         replay.sample(3)
 
 
