@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from dataclasses import replace
 from statistics import median
 from time import process_time
 from typing import Any
@@ -24,7 +25,7 @@ from see2act.robot.robot import SimulatedRobot
 from see2act.seeding import generator
 from torch import Tensor
 
-from benchmarks.common import PRIMITIVES, Work, faster, not_here, overhead, race, timed
+from benchmarks.common import PRIMITIVES, Work, faster, limit, not_here, overhead, race, timed
 
 GRADIENT = 1e-4
 """By which gradients of the part and of the whole heightmap may differ, as a share of the largest, in one layout.
@@ -35,24 +36,16 @@ hundredth, though in double precision the two agree to 1e-14. So layouts are lef
 
 
 def observing(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
-    """Rendering, noise, point cloud and heightmap, against the picture alone, without the arm in both."""
+    """Rendering, noise, point cloud and heightmap, against the whole of the camera's picture alone."""
     robot = _robot(composed(overrides))
     robot.reset(scene_seed("seen", 0), "seen")
-    camera, client = robot.camera, robot.simulation.client
-    view = client.computeViewMatrix(camera.position, camera.target, camera.up)
-
-    def picture() -> None:
-        client.getCameraImage(
-            camera.width, camera.height, view, camera._projection(), shadow=0, renderer=client.ER_TINY_RENDERER
-        )
-
-    def without_arm() -> None:
-        with robot.arm.out_of_sight():
-            picture()
-
-    ours, plain = race(robot.observe, without_arm, repeats)
+    whole = replace(robot.camera, crop=None)
+    ours, plain = race(robot.observe, lambda: whole.render(robot.simulation), repeats)
     robot.close()
-    return [overhead("observation, against getCameraImage", ours, plain, 1.3)]
+    return [
+        overhead("observation, against getCameraImage", ours, plain, 1.3),
+        limit("observation", ours, 0.035),
+    ]
 
 
 def attempting(overrides: list[str], primitive: str, picks: int) -> list[dict[str, Any]]:

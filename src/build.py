@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from see2act.cache import code_hash, foreign_code, given_files
 from see2act.checks import check_arguments
-from see2act.config import ConfigError, one_line
+from see2act.config import ConfigError, content_hash, one_line
 from see2act.datamodules.labels import Task
 from see2act.policy import Policy
+from see2act.results import packages
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import RobotError
 
@@ -31,14 +34,28 @@ def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any,
 
 def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRobot]:
     """Builds the robot of a run with a primitive's end effector; picklable."""
+    robot = _plain(cfg.robot)
+    if robot.get("layouts"):
+        robot["layouts"] = str(Path(robot["layouts"]).absolute() / _layouts_key(cfg))
     return partial(
         make_robot,
-        robot=_plain(cfg.robot),
+        robot=robot,
         workspace=_plain(cfg.workspace),
         camera=_plain(cfg.camera),
         objects=_plain(cfg.objects),
         end_effector=_plain(primitive.end_effector),
     )
+
+
+def _layouts_key(cfg: DictConfig) -> str:
+    """Hash of all that decides how objects settle: the same for every tool and camera."""
+    keys: dict[str, Any] = {
+        "bin": _plain(cfg.robot.get("bin", {})),
+        "workspace": _plain(cfg.workspace),
+        "objects": _plain(cfg.objects),
+    }
+    keys |= {"code": code_hash("robot", "seeding.py"), "versions": packages()}
+    return content_hash(given_files(keys) | foreign_code(keys))
 
 
 def check_parts(cfg: DictConfig) -> None:
@@ -125,4 +142,6 @@ def task(cfg: DictConfig) -> Task:
 
 
 def _plain(node: Any) -> Any:
+    if not OmegaConf.is_config(node):
+        return node
     return OmegaConf.to_container(node, resolve=True)

@@ -21,6 +21,8 @@ LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "thread
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
 LOCAL_TRAINER = ("accelerator", "logger", "log_every_n_steps", "num_sanity_val_steps")
 """The same of the trainer's keys, with everything that starts with ``enable_``, and one device."""
+LOCAL_ROBOT = ("video", "layouts")
+"""The same of the robot's keys."""
 CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
 """Groups whose names a result has."""
 WORD = r"\w+"
@@ -273,7 +275,8 @@ def config_hash(cfg: DictConfig) -> str:
         value = cfg[key]
         resolved[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
     resolved["collect"].pop("workers")
-    resolved["robot"].pop("video", None)
+    for key in LOCAL_ROBOT:
+        resolved["robot"].pop(key, None)
     resolved["trainer"] = relevant_trainer(cfg)
     return content_hash(given_files(resolved) | foreign_code(resolved))
 

@@ -20,7 +20,7 @@ from see2act import build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, foreign_code, given_files, once
-from see2act.config import CHOICES, ConfigError, config_hash, content_hash, relevant_trainer
+from see2act.config import CHOICES, LOCAL_ROBOT, ConfigError, config_hash, content_hash, relevant_trainer
 from see2act.dashboard import Dashboard
 from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
@@ -423,7 +423,8 @@ class Run:
 
     def _collection_key(self, interactions: int, per_scene: int, seed: int) -> str:
         keys = _plain(self.cfg, "robot", "workspace", "camera", "objects")
-        keys["robot"].pop("video", None)
+        for key in LOCAL_ROBOT:
+            keys["robot"].pop(key, None)
         keys["collect"] = {"interactions": interactions, "per_scene": per_scene, "seed": seed}
         keys["collect"]["primitive"] = _plain(self.cfg.collect.primitive, "end_effector")
         keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")

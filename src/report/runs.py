@@ -15,7 +15,7 @@ from typing import Any, get_args
 
 from omegaconf import DictConfig, OmegaConf
 from see2act import attempts_csv
-from see2act.config import CHOICES, LOCAL, LOCAL_TRAINER, WORD
+from see2act.config import CHOICES, LOCAL, LOCAL_ROBOT, LOCAL_TRAINER, WORD
 from see2act.robot.types import Split
 from tqdm import tqdm
 from yaml import YAMLError
@@ -31,7 +31,14 @@ CONDITIONS = (
 """Beginnings of the keys that two runs must share before their success may be compared."""
 LEARNING = ("model.rates",)
 """Those that are how an arm learns, and not how it is tested."""
-NO_MATTER = ("hydra", *LOCAL, *(f"trainer.{key}" for key in LOCAL_TRAINER), "trainer.enable_", "collect.workers", "robot.video")
+NO_MATTER = (
+    "hydra",
+    *LOCAL,
+    *(f"trainer.{key}" for key in LOCAL_TRAINER),
+    "trainer.enable_",
+    "collect.workers",
+    *(f"robot.{key}" for key in LOCAL_ROBOT),
+)
 """Beginnings of the keys that leave results as they are."""
 NAMED = ("model", "objects", "workspace", "camera", "policy", "precision")
 """Conditions that ``choices`` of a result has."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -81,6 +81,7 @@ class Camera:
         width, height: Pixels.
         focal: Pixels.
         noise: Errors of the depth.
+        crop: First row, first column, rows and columns of the part of the image that is taken; None for all of it.
 
     Raises:
         RobotError: There is no pixel, the focal length is not above 0, or there is no direction to look in.
@@ -94,6 +95,7 @@ class Camera:
     height: int
     focal: float
     noise: DepthNoise
+    crop: tuple[int, int, int, int] | None = None
 
     def __post_init__(self) -> None:
         if min(self.width, self.height) < 1 or self.focal <= 0:
@@ -113,12 +115,34 @@ class Camera:
             )
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the image that is taken."""
+        return self.crop[2:] if self.crop else (self.height, self.width)
+
+    def cropped_to(self, points: Float[np.ndarray, "n 3"], margin: int = 4) -> Camera:
+        """This camera, taking no more of its image than shows the hull of world points, and a margin of pixels around it.
+
+        All of the image where a point is behind the camera, or none of them is in view.
+        """
+        whole = replace(self, crop=None)
+        x, y, z = (np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(self.pose).T)[:, :3].T
+        if z.min() < NEAR:
+            return whole
+        cols, rows = (whole.focal * axis / z + centre for axis, centre in zip((x, y), whole.intrinsics[:2, 2], strict=True))
+        top, left = (max(0, int(np.floor(v.min())) - margin) for v in (rows, cols))
+        height = min(self.height, int(np.ceil(rows.max())) + margin) - top
+        width = min(self.width, int(np.ceil(cols.max())) + margin) - left
+        return replace(self, crop=(top, left, height, width)) if min(height, width) > 0 else whole
+
+    @property
     def intrinsics(self) -> Float[np.ndarray, "3 3"]:
         """Pinhole matrix, pixels; a pixel's centre is at its index plus a half.
 
         TinyRenderer samples at the upper left corner of a pixel counted from below, hence the halves.
         """
-        return np.array([[self.focal, 0, self.width / 2 + 0.5], [0, self.focal, self.height / 2 - 0.5], [0, 0, 1]])
+        top, left = self.crop[:2] if self.crop else (0, 0)
+        centre = self.width / 2 + 0.5 - left, self.height / 2 - 0.5 - top
+        return np.array([[self.focal, 0, centre[0]], [0, self.focal, centre[1]], [0, 0, 1]])
 
     @property
     def pose(self) -> Float[np.ndarray, "4 4"]:
@@ -149,7 +173,7 @@ class Camera:
 
     def floor_depth(self) -> Float[np.ndarray, "h w"]:
         """Depth in metres at which each pixel's ray meets the plane z = 0; far where it does not."""
-        rows, cols = (np.arange(n) + 0.5 for n in (self.height, self.width))
+        rows, cols = (np.arange(n) + 0.5 for n in self.shape)
         x = ((cols - self.intrinsics[0, 2]) / self.focal)[None]
         y = ((rows - self.intrinsics[1, 2]) / self.focal)[:, None]
         down = -(self.pose[2, 0] * x + self.pose[2, 1] * y + self.pose[2, 2])
@@ -171,20 +195,25 @@ class Camera:
         """Colour, exact depth in metres, and the body id seen in each pixel (-1: none)."""
         client = simulation.client
         view = client.computeViewMatrix(self.position, self.target, self.up)
+        rows, cols = self.shape
         _, _, color, z, body = client.getCameraImage(
-            self.width, self.height, view, self._projection(), shadow=0, renderer=client.ER_TINY_RENDERER
+            cols, rows, view, self._projection(), shadow=0, renderer=client.ER_TINY_RENDERER
         )
-        z = np.asarray(z, np.float64).reshape(self.height, self.width)
+        z = np.asarray(z, np.float64).reshape(rows, cols)
         depth = (FAR * NEAR / (FAR - (FAR - NEAR) * z)).astype(np.float32)
-        color = np.asarray(color, np.uint8).reshape(self.height, self.width, 4)[..., :3]
-        return color, depth, np.asarray(body).reshape(self.height, self.width)
+        color = np.asarray(color, np.uint8).reshape(rows, cols, 4)[..., :3]
+        return color, depth, np.asarray(body).reshape(rows, cols)
 
     def _projection(self) -> list[float]:
-        """OpenGL projection of the pinhole, column-major."""
+        """OpenGL projection of the pinhole, column-major; of a crop, off its centre."""
+        rows, cols = self.shape
+        top, left = self.crop[:2] if self.crop else (0, 0)
+        below = self.height - top - rows
         return [
-            *(2 * self.focal / self.width, 0, 0, 0),
-            *(0, 2 * self.focal / self.height, 0, 0),
-            *(0, 0, -(FAR + NEAR) / (FAR - NEAR), -1),
+            *(2 * self.focal / cols, 0, 0, 0),
+            *(0, 2 * self.focal / rows, 0, 0),
+            *(1 - (self.width - 2 * left) / cols, 1 - (self.height - 2 * below) / rows),
+            *(-(FAR + NEAR) / (FAR - NEAR), -1),
             *(0, 0, -2 * FAR * NEAR / (FAR - NEAR), 0),
         ]
 

@@ -13,9 +13,7 @@ from see2act.robot.types import Cause
 
 DRIVER = "gripper_finger_joint"
 FOLLOWERS = {
-    "gripper_left_inner_knuckle_joint": 1.0,
     "gripper_right_outer_knuckle_joint": 1.0,
-    "gripper_right_inner_knuckle_joint": 1.0,
     "gripper_left_inner_finger_joint": -1.0,
     "gripper_right_inner_finger_joint": -1.0,
 }
@@ -30,6 +28,10 @@ PAD_AT_KNUCKLE = 0.005
 PAD_HALF_HEIGHT = 0.01875
 PAD_CENTRE = 0.130
 """Metres from ``tool0`` to the middle between the open pads (measured on the loaded model)."""
+MOVING = 0.02
+"""rad/s of the driver joint, above which the fingers are on their way."""
+STILL_STEPS = 12
+"""Timesteps in a row that they must not move to be at rest."""
 FLOOR_GAP = 0.002
 """Metres that stay between the closing pads and the floor."""
 
@@ -78,15 +80,19 @@ class Gripper(EndEffector):
         self._simulation, self._arm = simulation, arm
         client = simulation.client
         self._driver = arm.joint_index[DRIVER]
-        for name, multiplier in FOLLOWERS.items():
-            follower = arm.joint_index[name]
+        self._followers = [arm.joint_index[name] for name in FOLLOWERS]
+        for follower, multiplier in zip(self._followers, FOLLOWERS.values(), strict=True):
             client.setJointMotorControl2(arm.body, follower, client.VELOCITY_CONTROL, force=0)
             gear = client.createConstraint(
                 arm.body, self._driver, arm.body, follower, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
             )
             client.changeConstraint(gear, gearRatio=-multiplier, maxForce=100, erp=1)
         for name in PADS:
-            client.changeDynamics(arm.body, arm.link_index[name], lateralFriction=self._friction, spinningFriction=0.005)
+            # The anchor corrects the drift of a contact that sticks, within Coulomb's limit: without it what is held creeps.
+            client.changeDynamics(
+                arm.body, arm.link_index[name], lateralFriction=self._friction, spinningFriction=0.005, frictionAnchor=1
+            )
+        self._still = 0
         self._drive(0.0)
 
     def length(self) -> float:
@@ -105,13 +111,17 @@ class Gripper(EndEffector):
         return self.size * CRANK * (np.sqrt(1 - sine.clip(0, np.sin(CRANK_OPEN)) ** 2) - np.cos(CRANK_OPEN))
 
     def prepare(self) -> None:
+        if self._arm.jumps:
+            return  # open since it let go
         seconds = self._arm.seconds
         self._drive(0.0)
+        self._still = 0
         self._wait_until_still()
         self._arm.seconds = seconds  # a real gripper opens on its way
 
     def engage(self) -> None:
         self._drive(0.8)
+        self._still = 0
         self._wait_until_still()
 
     def engaged(self) -> bool:
@@ -121,7 +131,9 @@ class Gripper(EndEffector):
         return "collision" if blocked else "slipped"
 
     def update_hold(self) -> None:
-        """Friction alone decides."""
+        """Friction alone decides; here it is only seen whether the fingers move."""
+        moving = abs(self._simulation.client.getJointState(self._arm.body, self._driver)[1]) > MOVING
+        self._still = 0 if moving else self._still + 1
 
     def sense(self) -> tuple[float, bool]:
         # Fingers that have just lost an object are still on their way, and as far apart as if they held it.
@@ -130,18 +142,18 @@ class Gripper(EndEffector):
         return gap, gap > self.threshold
 
     def release(self) -> None:
+        if self._arm.jumps:
+            for joint in (self._driver, *self._followers):
+                self._simulation.client.resetJointState(self._arm.body, joint, 0.0)
         self._drive(0.0)
 
     def _wait_until_still(self) -> None:
-        still = 0
+        def still() -> bool:
+            self.update_hold()
+            return self._still >= STILL_STEPS
 
-        def stalled() -> bool:
-            nonlocal still
-            moving = abs(self._simulation.client.getJointState(self._arm.body, self._driver)[1]) > 0.02
-            still = 0 if moving else still + 1
-            return still >= 12
-
-        self._arm.wait(self._close_steps, stalled)
+        if self._still < STILL_STEPS:
+            self._arm.wait(self._close_steps, still)
 
     def _angle(self) -> float:
         return float(self._simulation.client.getJointState(self._arm.body, self._driver)[0])

@@ -14,8 +14,9 @@ from see2act.robot import urdf
 from see2act.robot.arm import Arm, ArmConfig
 from see2act.robot.camera import FAR, Camera
 from see2act.robot.end_effector import EndEffector
+from see2act.robot.layouts import Layout, Layouts, Refusal
 from see2act.robot.objects import ObjectSet
-from see2act.robot.scene import BinConfig, Refusal, Scene
+from see2act.robot.scene import BinConfig, Scene
 from see2act.robot.simulation import TIMESTEP, Simulation
 from see2act.robot.types import Cause, Heightmap, Observation, Outcome, Pick, RobotError, Split, Truth
 from see2act.robot.workspace import Workspace
@@ -27,6 +28,8 @@ HELD = 0.05
 """Metres that an object must have risen to count as truly held: half the lift."""
 HOLD_STEPS = 40
 """Timesteps that a hold must last after the lift before it is read."""
+SPARE = 0.005
+"""Metres that a jump of the descent stays above anything that the tool could touch."""
 REBUILDS = 20
 MOTIONS = ("fast", "full")
 
@@ -107,10 +110,11 @@ class SimulatedRobot(Robot):
         arm: The arm's place and speeds.
         bin: The bin's walls and the waiting times.
         clearance: World z in metres of the tool's tip at which free motion ends and the descent begins.
-        motion: ``full`` steps through every motion. ``fast`` jumps where there is nothing to touch, between home and the point
-            above a pick, and also up again with empty hands, which leaves what it would have dragged along where it is.
-            ``robot_seconds`` counts it all the same.
-        video: Whether :meth:`film` records; a frame costs 0.1 s.
+        motion: ``full`` steps through every motion. ``fast`` jumps where there is nothing to touch: between home and the point
+            above a pick, down from there until just above the first thing under the tool, and also up again with empty hands,
+            which leaves what it would have dragged along where it is. ``robot_seconds`` counts it all the same.
+        video: Whether :meth:`film` records, a frame costs 0.1 s, and whether the arm has its looks and the table any.
+        layouts: Folder where settled scenes are kept, of this configuration alone; None drops each anew.
 
     Raises:
         RobotError: There is no such motion, the camera sees nothing of the workspace, or home is out of the arm's reach.
@@ -127,6 +131,7 @@ class SimulatedRobot(Robot):
         clearance: float,
         motion: str,
         video: bool = False,
+        layouts: str | None = None,
     ):
         if motion not in MOTIONS:
             raise RobotError(f"robot.motion={motion} is unknown: choose one of {', '.join(MOTIONS)}")
@@ -138,32 +143,45 @@ class SimulatedRobot(Robot):
         self.workspace = workspace
         self.primitive = end_effector.primitive
         self.half_opening = end_effector.half_opening
-        self.camera = camera
+        self.camera = camera.cropped_to(_corners(workspace, clearance))
         self.tool = end_effector
         self._config = arm
         self._clearance = clearance
         self._video = video
         self.simulation = Simulation()
-        self.arm = Arm(self.simulation, arm, urdf.mount(urdf.ur5(), end_effector.urdf()), jumps=motion == "fast")
-        self.scene = Scene(self.simulation, bin, workspace.width, workspace.length, objects)
+        model = urdf.mount(urdf.ur5(), end_effector.urdf())
+        self.arm = Arm(self.simulation, arm, model if video else urdf.without_visuals(model), jumps=motion == "fast")
+        self.scene = Scene(self.simulation, bin, workspace.width, workspace.length, objects, table=video)
+        self._layouts = Layouts(Path(layouts) if layouts else None)
         self._background: Heightmap | None = None
         self.rebuilds: Counter[Refusal] = Counter()
-        """Why scenes were refused, and rebuilt from the next sub-seed."""
+        """Why scenes were refused, and dropped again from the next sub-seed."""
 
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
-        for attempt in range(REBUILDS):
-            rng = generator("scene", scene_seed, attempt)
-            self._build()
-            refused = self.scene.drop(rng, split, count)
-            if refused is None:
-                break
-            self.rebuilds[refused] += 1
-        else:
-            raise RobotError(
-                f"scene {scene_seed} was dropped {REBUILDS} times and is still {refused}: "
-                "raise robot.bin.settle_steps (restless), robot.bin.margin (spilled, scattered) or lower robot.bin.touching"
-            )
+        layout = self._layouts.get(scene_seed, split, count)
+        if layout is None:
+            layout = self._drop(scene_seed, split, count)
+            self._layouts.keep(layout, scene_seed, split, count)
+        self.rebuilds.update(layout.refused)
+        # From the layout in either case: what settled and what is put back differ in Bullet's memory of contacts.
+        self._build()
+        self.scene.place(layout)
         self._noise = generator("sensor", scene_seed)
+
+    def _drop(self, scene_seed: int, split: Split, count: int | None) -> Layout:
+        """Let a scene come about, without the arm, so that it is the same for every tool."""
+        refused: list[Refusal] = []
+        while len(refused) < REBUILDS:
+            self.simulation.clear()
+            self.scene.build()
+            why = self.scene.drop(generator("scene", scene_seed, len(refused)), split, count)
+            if why is None:
+                return self.scene.layout(tuple(refused))
+            refused.append(why)
+        raise RobotError(
+            f"scene {scene_seed} was dropped {REBUILDS} times and is still {refused[-1]}: "
+            "raise robot.bin.settle_steps (restless), robot.bin.margin (spilled, scattered) or lower robot.bin.touching"
+        )
 
     def background(self) -> Heightmap:
         """As promised by :class:`Robot`, seen once and without noise."""
@@ -203,6 +221,8 @@ class SimulatedRobot(Robot):
         tool.prepare()
         arm.move(down[0])
         contact = _Contact()
+        free = self._room_below_tool()
+        down = arm.enter(down, sum(above[2] - arm.position(joints)[2] < free for joints in down))
         blocked = arm.follow(down, until=lambda: self._note_contact(contact) > tool.contact_limit)
         stopped = blocked and contact.wall > tool.contact_limit / 2  # a protective stop: the arm withdraws at once
         engaged = False
@@ -210,9 +230,8 @@ class SimulatedRobot(Robot):
             tool.engage()
             engaged = tool.engaged()
             self._note_contact(contact)
-        with self.simulation.careful():
-            self._lift(pick, engaged)
-            reading, success = (0.0, False) if stopped else tool.sense()
+        self._lift(pick, engaged)
+        reading, success = (0.0, False) if stopped else tool.sense()
         held = self._held(before)
         cause: Cause = "missed"
         if success or stopped:
@@ -223,7 +242,8 @@ class SimulatedRobot(Robot):
         if success:
             self.scene.remove(held)
         arm.home()
-        self.scene.settle()
+        if success or contact.object or self._moved(before):
+            self.scene.settle()
         lost = self.scene.clear_lost()
         if lost:
             self.scene.settle()  # what leant on it falls
@@ -249,8 +269,8 @@ class SimulatedRobot(Robot):
         self.scene.build()
 
     def _look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the camera sees; not the arm, which a real set-up takes out of the way, and which costs a third of the time."""
-        with self.arm.out_of_sight():
+        """What the camera sees of the bin; not the arm, which a real set-up takes out of the way, nor the table."""
+        with self.simulation.hidden(self.arm.body, self.scene.table):
             return self.camera.render(self.simulation)
 
     def _heightmap(self, color: np.ndarray, depth: np.ndarray) -> Heightmap:
@@ -280,6 +300,21 @@ class SimulatedRobot(Robot):
         self.arm.follow(up, until=tend)
         self.arm.wait(HOLD_STEPS, until=tend)
 
+    def _room_below_tool(self) -> float:
+        """Metres that the tool can go straight down before it may touch anything; below 0 if it may already."""
+        box = self.simulation.client.getAABB
+        fixed = (self.scene.table, self.scene.floor, *self.scene.walls)
+        below = np.array([box(body) for body in (*fixed, *(body.id for body in self.scene.bodies))])
+        room = np.inf
+        for low, high in (np.array(box(self.arm.body, link)) for link in self.arm.tool_links):
+            apart = (below[:, 1, :2] < low[:2]) | (below[:, 0, :2] > high[:2])
+            room = min(room, *(low[2] - below[~apart.any(axis=1), 1, 2]), np.inf)
+        return float(room) - SPARE
+
+    def _moved(self, before: dict[int, np.ndarray]) -> bool:
+        """Whether an object has left its place; what sleeps stays there to the bit."""
+        return any(not np.array_equal(at, before[body]) for body, at in self.scene.positions().items())
+
     def _note_contact(self, contact: _Contact) -> float:
         """Newtons on the robot; remembers in ``contact`` what it touches."""
         points = self.simulation.client.getContactPoints(bodyA=self.arm.body)
@@ -299,3 +334,9 @@ class SimulatedRobot(Robot):
             if not any(client.getContactPoints(body, b) for b in (self.scene.floor, *self.scene.walls)):
                 held.add(body)
         return held
+
+
+def _corners(workspace: Workspace, height: float) -> np.ndarray:
+    """Of the box that the bin is up to a height in metres, (8, 3)."""
+    x, y = workspace.width / 2, workspace.length / 2
+    return np.array([(i, j, k) for i in (-x, x) for j in (-y, y) for k in (0, height)])

@@ -6,10 +6,10 @@ import colorsys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
+from see2act.robot.layouts import Layout, Placed, Refusal
 from see2act.robot.objects import ObjectSet
 from see2act.robot.simulation import Simulation
 from see2act.robot.textures import TEXTURES
@@ -22,9 +22,6 @@ STILL_CHECKS, STILL_CHECKS_AT_FIRST = 4, 24
 for a moment too."""
 TOUCHING = 0.001
 """Metres between two objects that count as touching."""
-
-Refusal = Literal["restless", "spilled", "scattered"]
-"""Objects that do not come to rest, that lie outside the bin, that lie apart."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +57,7 @@ class Body:
     id: int
     name: str
     scale: float
+    color: tuple[float, float, float]
     transparent: bool
     """Whether the depth sensor looks through it."""
 
@@ -73,13 +71,17 @@ class Scene:
         width: Inner extent of the bin along x, metres.
         length: The same along y.
         objects: What may be dropped.
+        table: Whether the table around the bin can be seen; it is always there.
     """
 
-    def __init__(self, simulation: Simulation, config: BinConfig, width: float, length: float, objects: ObjectSet):
+    def __init__(
+        self, simulation: Simulation, config: BinConfig, width: float, length: float, objects: ObjectSet, table: bool = True
+    ):
         self._simulation = simulation
         self._config = config
         self._size = np.array([width, length])
         self._objects = objects
+        self._show_table = table
         self._files = tempfile.TemporaryDirectory()
         self.bodies: list[Body] = []
         self.wall_height = config.wall_height
@@ -89,7 +91,8 @@ class Scene:
         thickness, height = self._config.wall_thickness, self._config.wall_height
         x, y = self._size / 2
         self.bodies = []
-        self.table = self._block((1.0, 0.8, 0.02), (-0.1, 0, -0.03), (0.72, 0.65, 0.55))
+        wood = (0.72, 0.65, 0.55) if self._show_table else None
+        self.table = self._block((1.0, 0.8, 0.02), (-0.1, 0, -0.03), wood)
         self.floor = self._block((x + thickness, y + thickness, 0.005), (0, 0, -0.005), (0.32, 0.33, 0.35))
         self.walls = self._ring(x, y, thickness / 2, height, (0.25, 0.42, 0.6))
 
@@ -119,6 +122,17 @@ class Scene:
             return "spilled"
         scattered = count is None and len(self.bodies) > 1 and self.touching() < self._config.touching
         return "scattered" if scattered else None
+
+    def layout(self, refused: tuple[Refusal, ...] = ()) -> Layout:
+        """What lies where now."""
+        at = self._simulation.client.getBasePositionAndOrientation
+        return Layout(tuple(Placed(body.name, body.scale, body.color, *at(body.id)) for body in self.bodies), refused)
+
+    def place(self, layout: Layout) -> None:
+        """Put the objects of a layout into the empty bin, asleep."""
+        for placed in layout.objects:
+            self._add(placed.name, placed.scale, placed.position, np.array(placed.rotation), placed.color)
+        self._sleep()
 
     def settle(self, steps: int | None = None, checks: int = STILL_CHECKS) -> bool:
         """Step until every object lies still, at most ``steps`` times; whether they do.
@@ -185,7 +199,12 @@ class Scene:
         return bool((np.abs(position[:2]) < self._size / 2).all() and -0.005 < position[2] < 0.3)
 
     def _add(
-        self, name: str, scale: float, position: tuple[float, ...], rotation: np.ndarray, color: tuple[float, ...]
+        self,
+        name: str,
+        scale: float,
+        position: tuple[float, ...],
+        rotation: np.ndarray,
+        color: tuple[float, float, float],
     ) -> None:
         client = self._simulation.client
         path = Path(self._files.name) / f"{name}.obj"
@@ -207,7 +226,7 @@ class Scene:
         )
         if texture := self._objects.textures.get(name):
             client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(self._texture(texture))))
-        self.bodies.append(Body(body, name, scale, name in self._objects.transparent))
+        self.bodies.append(Body(body, name, scale, color, name in self._objects.transparent))
 
     def _texture(self, name: str) -> Path:
         path = Path(self._files.name) / f"{name}.png"

@@ -31,11 +31,14 @@ def ur5() -> ET.Element:
 
 
 def robotiq(size: float = 1.0) -> ET.Element:
-    """The Robotiq 2F-85, ``size`` times as large, its names prefixed with ``gripper_`` and its inertias made simulable."""
+    """The Robotiq 2F-85, ``size`` times as large, its names prefixed with ``gripper_`` and its inertias made simulable.
+
+    Without the inner knuckles: bars that keep the fingertips upright, which their own joints do here.
+    """
     # The file uses the namespace `drake:` without declaring it, which no XML parser accepts.
     robot = ET.fromstring(GRIPPER.read_text().replace("drake:", "drake_"))
     for element in list(robot):
-        if element.tag not in ("link", "joint"):
+        if element.tag not in ("link", "joint") or "inner_knuckle" in element.get("name", ""):
             robot.remove(element)
     for mesh in robot.iter("mesh"):
         mesh.set("filename", str((GRIPPER.parent / mesh.get("filename", "")).resolve()))
@@ -98,6 +101,14 @@ def mount(arm: ET.Element, tool: ET.Element) -> str:
     ET.SubElement(joint, "parent", link="tool0")
     ET.SubElement(joint, "child", link=root.get("name", ""))
     return ET.tostring(arm, encoding="unicode")
+
+
+def without_visuals(robot: str) -> str:
+    """A URDF without its visual meshes, which take 0.25 s to load; PyBullet then draws the collision meshes in their place."""
+    root = ET.fromstring(robot)
+    for link in root.iter("link"):
+        _strip(link, "visual")
+    return ET.tostring(root, encoding="unicode")
 
 
 def _times(numbers: str, factor: float) -> str:

@@ -68,6 +68,14 @@ def test_motion_follows_the_straight_line(arm: Arm) -> None:
     assert np.linalg.norm(arm.tool_position() - end) < 5e-4
 
 
+def test_a_line_is_straight_between_the_points_that_are_solved(arm: Arm) -> None:
+    for start, end, angle in (((0.18, -0.18, 0.3), (0.18, -0.18, 0.13), 2.9), ((-0.18, 0.1, 0.2), (-0.18, 0.1, 0.3), 0.4)):
+        start, end = np.array(start), np.array(end)
+        for joints in arm.line(start, end, angle, 0.4):
+            off = np.cross(arm.position(joints) - start, end - start) / np.linalg.norm(end - start)
+            assert np.linalg.norm(off) < 1e-6
+
+
 def test_neighbouring_poses_have_neighbouring_joints(arm: Arm) -> None:
     line = arm.line(np.array([-0.18, -0.18, 0.2]), np.array([0.18, 0.18, 0.2]), 0.5, 0.4)
     assert np.abs(np.diff(line, axis=0)).max() < 0.05

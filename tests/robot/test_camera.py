@@ -72,7 +72,7 @@ def test_readings_are_lost_at_depth_edges_only() -> None:
 
 def test_readings_are_lost_at_grazing_angles(robot: SimulatedRobot) -> None:
     """Of a plane that runs away from the camera, where it is seen at more than 80 degrees."""
-    camera = replace(robot.camera, width=320, height=160, focal=230.0, noise=DepthNoise(edge_rate=0.0))
+    camera = replace(robot.camera, crop=None, width=320, height=160, focal=230.0, noise=DepthNoise(edge_rate=0.0))
     v = np.indices((160, 320))[0] + 0.5 - camera.intrinsics[1, 2]
     slope = np.tan(np.radians(79))  # of the plane's normal against the optical axis
     depth = (1.0 / (1 + slope * v / 230.0)).clip(0.2, 3.0)
@@ -120,12 +120,42 @@ def test_the_camera_above_sees_more_of_the_bin(make_robot: Callable[..., Simulat
     assert seen["top"] > seen["side"] + 0.05
 
 
-def test_the_arm_is_out_of_the_cameras_sight_and_in_a_bystanders(make_robot: Callable[..., SimulatedRobot]) -> None:
-    robot = make_robot("camera=top")
-    robot.reset(3, "seen")
-    seen, shown = robot.observe(), robot.camera.render(robot.simulation)
-    *_, body = robot._look()
-    assert not (body == robot.arm.body).any()
-    assert (shown[2] == robot.arm.body).any()
-    elsewhere = shown[2] != robot.arm.body
+def test_neither_the_arm_nor_the_table_is_in_the_cameras_sight_but_in_a_bystanders(
+    make_robot: Callable[..., SimulatedRobot],
+) -> None:
+    filmed, robot = make_robot("camera=top", "robot.video=true"), make_robot("camera=top")
+    for each in (filmed, robot):
+        each.reset(3, "seen")
+    seen, shown = filmed.observe(), filmed.camera.render(filmed.simulation)
+    *_, body = filmed._look()
+    hidden = (filmed.arm.body, filmed.scene.table)
+    assert not np.isin(body, hidden).any()
+    assert (shown[2] == filmed.arm.body).any()
+    elsewhere = ~np.isin(shown[2], hidden)
     assert np.array_equal(seen.color[elsewhere], shown[0][elsewhere])
+    assert np.array_equal(seen.depth, robot.observe().depth), "filming changes what the robot sees"
+
+
+@pytest.mark.parametrize("overrides", [(), ("camera=top",), ("camera=d415", "workspace=suction_real", "objects=household")])
+def test_the_part_of_the_image_that_is_rendered_has_the_pixels_of_the_whole(
+    make_robot: Callable[..., SimulatedRobot], overrides: tuple[str, ...]
+) -> None:
+    robot = make_robot(*overrides)
+    robot.reset(5, "seen")
+    top, left, rows, cols = robot.camera.crop
+    part = np.s_[top : top + rows, left : left + cols]
+    whole = replace(robot.camera, crop=None)
+    assert rows * cols < 0.6 * whole.width * whole.height
+    with robot.simulation.hidden(robot.arm.body):
+        color, depth, body = robot.camera.render(robot.simulation)
+        all_color, all_depth, all_body = whole.render(robot.simulation)
+    assert np.abs(depth - all_depth[part]).max() < 1e-5
+    # Where two faces meet, rounding decides which of them a pixel shows.
+    assert (color != all_color[part]).any(-1).mean() < 2e-4
+    assert (body != all_body[part]).mean() < 2e-4
+    points = hm.point_cloud(all_depth, whole.intrinsics, whole.pose)
+    assert np.allclose(points[part], hm.point_cloud(depth, robot.camera.intrinsics, robot.camera.pose), atol=1e-5)
+    *_, used = hm.highest(points, all_depth > 0, robot.workspace)
+    rendered = np.zeros(all_depth.shape, bool)
+    rendered[part] = True
+    assert rendered.ravel()[used].all(), "a pixel that the heightmap is made of is not rendered"

@@ -165,7 +165,10 @@ def test_fast_motion_ends_as_full_motion_does_and_counts_the_same_time(
         _place(robot, "cube", (0.0, 0.0, 0.03))
         home = robot.arm.tool_position()
         _pick(robot, -0.1, -0.1)  # the second pick: the fingers of the first are still open
-        outcomes[motion] = _pick(robot, x, 0.0)
+        row, col = robot.workspace.to_pixel(np.array(x), np.array(0.0))
+        pick = robot.workspace.pick(robot.truth().heightmap, int(row), int(col), 0.0)
+        # In the middle: both fingers meet the cube at once, so that none pushes it about and they are at rest equally soon.
+        outcomes[motion] = robot.execute(replace(pick, x=x, y=0.0))
         assert np.linalg.norm(robot.arm.tool_position() - home) < 1e-3
     fast, full = outcomes["fast"], outcomes["full"]
     assert (fast.success, fast.truth, fast.cause) == (full.success, full.truth, full.cause)
@@ -197,3 +200,30 @@ def test_a_pick_out_of_reach_is_a_failed_attempt(suction: SimulatedRobot) -> Non
     for pick in (Pick(0, 0, 0.0, 2.0, 0.0, 0.0), Pick(0, 0, 0.0, 0.38, 0.0, 0.18)):
         outcome = suction.execute(pick)
         assert (outcome.success, outcome.cause, outcome.steps) == (False, "unreachable", 0)
+
+
+@pytest.mark.parametrize("primitive", ["suction", "grasp"])
+def test_the_descent_jumps_to_just_above_the_first_thing_under_the_tool(
+    make_robot: Callable[..., SimulatedRobot], primitive: str
+) -> None:
+    robot = make_robot(f"primitive={primitive}")
+    _place(robot, "cube", (0.0, 0.0, 0.03))
+    jumped, enter = [], robot.arm.enter
+
+    def watched(*args: object) -> np.ndarray:
+        left = enter(*args)
+        robot.simulation.client.performCollisionDetection()
+        jumped.append(
+            (robot.arm.tool_position()[2] - robot.tool.length(), robot.simulation.client.getContactPoints(robot.arm.body))
+        )
+        return left
+
+    robot.arm.enter = watched
+    _pick(robot, 0.0, 0.0)  # open jaws straddle the cube, and go on down to the floor
+    _pick(robot, 0.0, 0.1)
+    (on_cube, touched), (beside, nothing) = jumped
+    assert not touched
+    assert not nothing
+    assert beside < 0.04
+    if primitive == "suction":
+        assert 0.045 < on_cube < 0.058
