@@ -38,8 +38,12 @@ class AttemptsCsv:
             writer.writeheader()
             writer.writerows(rows)
 
-    def append(self, attempt: Attempt, t_learn: float = 0.0, **where: Any) -> None:
-        """Add an attempt; ``where`` gives phase, split, policy, run, step, episode, scene_seed and primitive."""
+    def append(self, attempt: Attempt, t_learn: float = 0.0, **where: Any) -> dict[str, Any]:
+        """Add an attempt; ``where`` gives phase, split, policy, run, step, episode, scene_seed and primitive.
+
+        Returns:
+            Its row.
+        """
         pick, outcome = attempt.pick, attempt.outcome
         times = (attempt.t_observe, attempt.t_decide, attempt.t_act, t_learn)
         row = {
@@ -53,8 +57,13 @@ class AttemptsCsv:
             "robot_seconds": f"{outcome.robot_seconds:.3f}",
             **{name: f"{value:.4f}" for name, value in zip(TIMES, (*times, sum(times)), strict=True)},
         }
+        self.extend([row])
+        return row
+
+    def extend(self, rows: list[dict[str, Any]]) -> None:
+        """Add rows as they are."""
         with self._path.open("a", newline="") as file:
-            csv.DictWriter(file, COLUMNS).writerow(row)
+            csv.DictWriter(file, COLUMNS).writerows(rows)
 
 
 def read(path: Path) -> list[dict[str, str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.errors import HydraException
 from hydra.utils import instantiate
@@ -18,6 +18,9 @@ from see2act.policy import Policy
 from see2act.results import packages
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import RobotError
+
+if TYPE_CHECKING:
+    import torch  # takes seconds, which --help should not
 
 
 def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any, end_effector: Any) -> SimulatedRobot:
@@ -90,7 +93,7 @@ def check_run(cfg: DictConfig) -> None:
     learns_to_see = cfg.task.label and not cfg.task.weights
     if learns_to_see:
         _check_shape(cfg)
-    _check_trainer(cfg, {} if learns_to_see else ONE_PROCESS)
+    _check_trainer(cfg, {} if learns_to_see else one_device(cfg))
 
 
 def _check_shape(cfg: DictConfig) -> None:
@@ -113,8 +116,20 @@ def _check_shape(cfg: DictConfig) -> None:
         )
 
 
-ONE_PROCESS = {"accelerator": "cpu", "devices": 1, "strategy": "auto"}
-"""What fine-tuning takes of the trainer: the robot waits for each decision. Only pre-training has use for more."""
+def one_device(cfg: DictConfig) -> dict[str, Any]:
+    """What deciding and learning from the robot take of the trainer: one device, since each attempt waits for the one before.
+
+    Only pre-training has use for more.
+    """
+    devices = cfg.trainer.get("devices", 1)
+    alone = OmegaConf.to_container(devices) if OmegaConf.is_list(devices) and len(devices) == 1 else 1
+    return {"devices": alone, "strategy": "auto"}
+
+
+def device(cfg: DictConfig) -> torch.device:
+    """Where networks decide and learn."""
+    found: torch.device = instantiate(cfg.trainer)(**one_device(cfg)).strategy.root_device
+    return found
 
 
 def _check_trainer(cfg: DictConfig, here: dict[str, Any]) -> None:

@@ -19,8 +19,8 @@ from see2act.cache import foreign_code, given_files
 
 LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
-LOCAL_TRAINER = ("accelerator", "logger", "log_every_n_steps", "num_sanity_val_steps")
-"""The same of the trainer's keys, with everything that starts with ``enable_``, and one device."""
+LOCAL_TRAINER = ("logger", "log_every_n_steps", "num_sanity_val_steps")
+"""The same of the trainer's keys, with everything that starts with ``enable_``, the processor, and one device."""
 LOCAL_ROBOT = ("video", "layouts")
 """The same of the robot's keys."""
 CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
@@ -285,6 +285,8 @@ def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:
     """The trainer's keys that can change a result."""
     trainer: dict[str, Any] = OmegaConf.to_container(cfg.trainer, resolve=True)  # type: ignore[assignment]
     deciding = {k: v for k, v in trainer.items() if k not in LOCAL_TRAINER and not k.startswith("enable_")}
+    if deciding.get("accelerator") == "cpu":  # another one rounds otherwise, and attempts soon differ
+        del deciding["accelerator"]
     devices = deciding.get("devices")
     if devices == 1 or (isinstance(devices, list) and len(devices) == 1):  # several share a batch's work, and change it
         del deciding["devices"]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from see2act.attempt import Affordances, Attempt, attempt
 from see2act.policy import Policy
@@ -36,6 +36,18 @@ def scene_seed(split: Split, run: int, scenes: str = "evaluate") -> int:
     return seed_for(f"scene/{scenes}/{split}", run)
 
 
+class Counts(NamedTuple):
+    """What counts of an attempt."""
+
+    success: bool
+    truth: bool
+    lost: int
+
+
+TestRun = tuple[Split, int]
+"""Of which split, and which of its test runs."""
+
+
 def evaluate(
     robot: Robot,
     affordances: Affordances,
@@ -43,6 +55,7 @@ def evaluate(
     protocol: Protocol,
     record: Callable[..., None],
     title: str = "evaluate",
+    known: Mapping[TestRun, Sequence[Counts]] | None = None,
 ) -> dict[str, Any]:
     """Success rates on seen and unseen objects.
 
@@ -55,13 +68,14 @@ def evaluate(
         protocol: Counts.
         record: Called with each attempt and its split, policy, run, episode and scene_seed.
         title: Of the progress bar.
+        known: Attempts of test runs that are not made again.
 
     Returns:
         By split: successes, attempts, rate, truth_successes and the same by run, as in ``result.json``.
     """
     most = protocol.runs * sum(protocol.attempts[split] for split in SPLITS)
     with tqdm(total=most, desc=title, disable=None) as bar:
-        return {split: _split(robot, affordances, policy, protocol, split, record, bar) for split in SPLITS}
+        return {split: _split(robot, affordances, policy, protocol, split, record, bar, known or {}) for split in SPLITS}
 
 
 def _split(
@@ -72,17 +86,19 @@ def _split(
     split: Split,
     record: Callable[..., None],
     bar: tqdm,
+    known: Mapping[TestRun, Sequence[Counts]],
 ) -> dict[str, Any]:
     runs, truths = [], 0
     for run in range(protocol.runs):
-        seed, results = scene_seed(split, run, protocol.scenes), []
-        for done in one_test_run(robot, affordances, policy.fresh(), seed, split, protocol.attempts[split]):
-            record(done, split=split, policy=policy.name, run=run, episode=run, scene_seed=seed)
-            results.append(done.outcome)
-            bar.update()
-        lost = sum(outcome.lost for outcome in results)
-        successes = sum(outcome.success for outcome in results)
-        truths += sum(outcome.truth for outcome in results)
+        seed, results = scene_seed(split, run, protocol.scenes), list(known.get((split, run), ()))
+        if not results:
+            for done in one_test_run(robot, affordances, policy.fresh(), seed, split, protocol.attempts[split]):
+                record(done, split=split, policy=policy.name, run=run, episode=run, scene_seed=seed)
+                results.append(Counts(done.outcome.success, done.outcome.truth, done.outcome.lost))
+                bar.update()
+        lost = sum(attempt.lost for attempt in results)
+        successes = sum(attempt.success for attempt in results)
+        truths += sum(attempt.truth for attempt in results)
         runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results), "lost": lost})
     successes, attempts = (sum(run[k] for run in runs) for k in ("successes", "attempts"))
     rate = successes / attempts if attempts else 0.0

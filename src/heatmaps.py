@@ -78,7 +78,7 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
         if last:
             tuned = copy.deepcopy(next(iter(models.values())))
             try:
-                tuned.load_state_dict(torch.load(last, weights_only=True)["state_dict"])
+                tuned.load_state_dict(torch.load(last, map_location="cpu", weights_only=True)["state_dict"])
             except RuntimeError as error:
                 reason = " ".join(str(error).split())[:200]
                 raise ConfigError(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import logging
 import math
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from see2act import build, figures, trained
+from see2act import attempts_csv, build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, foreign_code, given_files, once
@@ -26,8 +27,8 @@ from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
 from see2act.datamodules.replay import Replay
 from see2act.datamodules.vision import VisionDataModule, channel_statistics
-from see2act.evaluation import SPLITS, Protocol, evaluate
-from see2act.files import replacing, write_json
+from see2act.evaluation import SPLITS, Counts, Protocol, TestRun, evaluate
+from see2act.files import read_json, replacing, write_json
 from see2act.modules import weights
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms, estimate
@@ -37,6 +38,7 @@ from see2act.modules.transfer import TransferError, TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, commit, curve, packages, versions
+from see2act.robot.robot import Robot
 from see2act.seeding import generator, seed_for
 from torch import Tensor
 
@@ -62,6 +64,9 @@ class Run:
         self.progress = Progress(folder / "progress.json")
         self.protocol = Protocol(cfg.evaluate.runs, dict(cfg.evaluate.attempts), cfg.evaluate.scenes)
         self.attempts = cfg.finetune.attempts if cfg.transfer.finetune else 0
+        self.device = build.device(cfg)
+        self._within = 0.0
+        """Seconds of stages within the present one, which are not its own."""
 
     def __call__(self) -> dict[str, Any]:
         """All stages in order; the contents of ``result.json``."""
@@ -86,8 +91,7 @@ class Run:
         with self._timed("finetune"):
             self.finetune(module)
         trained.save(self.checkpoints / trained.FILE, module.acting, self.cfg)
-        with self._timed("evaluate_argmax"):
-            self._evaluate_argmax(module)
+        self._evaluate_argmax(module)
         with self._timed("figures"):
             self.figures(vision, before, module)
         self.dashboard.show(self.folder)
@@ -122,7 +126,7 @@ class Run:
         path = self.vision_path()
         made = once(path, lambda: self._train_vision(collection, path))
         log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
-        checkpoint: dict[str, Any] = torch.load(path, weights_only=True)
+        checkpoint: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         quality = {key: checkpoint[key] for key in ("positive_share", "val_loss", "average_precision")}
         log.info("pretrain: average precision %.2f on held-out scenes", quality["average_precision"])
         self.progress.set("vision", quality)
@@ -160,6 +164,7 @@ class Run:
             cfg.finetune.batchnorm,
             cfg.finetune.averaging,
         )
+        module.to(self.device)
         fresh = [name for name in batchnorms(network) if name.split(".")[0] not in cfg.transfer.parts]
         estimate(network, self._unlabelled(module, collection), fresh)
         return module.eval(), report
@@ -168,7 +173,7 @@ class Run:
         """Evaluate before, learn by trial and error, evaluate on the way and after."""
         cfg = self.cfg
         last = self.checkpoints / "last.ckpt"
-        resumed = torch.load(last, weights_only=True) if last.exists() else None
+        resumed = torch.load(last, map_location="cpu", weights_only=True) if last.exists() else None
         done = resumed["InteractiveDataModule"]["attempts"] if resumed else 0
         final = self.progress.get("finetuned")
         steps = sorted({0, self.attempts, *(step for step in cfg.evaluate.at if step <= self.attempts)})
@@ -181,7 +186,8 @@ class Run:
         elif not final:
             self._fit(module, last if resumed else None, steps)
         else:
-            module.load_state_dict(torch.load(self.checkpoints / "affordance.ckpt", weights_only=True)["state_dict"])
+            kept = torch.load(self.checkpoints / "affordance.ckpt", map_location=self.device, weights_only=True)
+            module.load_state_dict(kept["state_dict"])
 
     def figures(self, vision: dict[str, Any] | None, before: AffordanceModule, module: AffordanceModule) -> None:
         """Pictures of what was learned by trial and error, in ``figures/``."""
@@ -262,7 +268,7 @@ class Run:
             raise ConfigError(f"the vision model has diverged (loss {val_loss}): lower pretrain.lr={cfg.pretrain.lr}")
         checkpoint = {
             "task": cfg.task.name,
-            "network": network.state_dict(),
+            "network": {name: value.cpu() for name, value in network.state_dict().items()},
             "positive_share": data.positive_share,
             "val_loss": val_loss,
             "average_precision": self._average_precision(module, held_out),
@@ -288,6 +294,7 @@ class Run:
     def _average_precision(self, module: VisionModule, labels: np.ndarray) -> float:
         """Of the trained vision model on scenes it was not trained on."""
         held_out = self.held_out()
+        module.to(self.device)
         scores = module.network.scores(held_out.arrays["color"], held_out.arrays["height"])
         return average_precision(scores, labels, build.task(self.cfg).tolerance)
 
@@ -317,7 +324,11 @@ class Run:
                 cfg.primitive.name,
             )
             trainer = self._trainer(
-                max_epochs=self.attempts, callbacks=[loop], limit_val_batches=0, enable_progress_bar=False, **build.ONE_PROCESS
+                max_epochs=self.attempts,
+                callbacks=[loop],
+                limit_val_batches=0,
+                enable_progress_bar=False,
+                **build.one_device(cfg),
             )
             module.train()  # Lightning keeps the mode it finds
             self._fit_to_the_end(trainer, module, data, ckpt_path=resume, weights_only=True)
@@ -330,45 +341,120 @@ class Run:
                     trainer.save_checkpoint(partial, weights_only=weights_only)
         finally:
             robot.close()
+        module.to(self.device)  # Lightning has brought it back to the processor
         self.progress.set("finetuned", True)
 
     def _evaluate_at(self, module: AffordanceModule, step: int) -> None:
         policy = build.policy(self.cfg)
         phase = "zero_shot" if step == 0 else "eval"
-        self._evaluation(f"eval_{step}", module, policy, phase, step)
+        with self._timed("evaluate"):
+            self._evaluation(f"eval_{step}", module, policy, phase, step)
 
     def _evaluate_argmax(self, module: AffordanceModule) -> None:
         policy = build.policy(self.cfg)
         if policy.suppress:
-            self._evaluation("eval_argmax", module, policy.plain(), "eval", self.attempts)
+            with self._timed("evaluate"):
+                self._evaluation("eval_argmax", module, policy.plain(), "eval", self.attempts)
         else:
             self.progress.set("eval_argmax", {**self.progress.get(f"eval_{self.attempts}"), "repeated": True})
 
     def _evaluation(self, name: str, module: AffordanceModule, policy: Policy, phase: str, step: int) -> None:
+        """One evaluation by the protocol, unless it is done already; what needs no robot is taken from where it is known."""
         if self.progress.get(name):
             return
         where = {"phase": phase, "step": step, "primitive": self.cfg.primitive.name}
         robot = build.robot_factory(self.cfg, self.cfg.primitive)()
-        last = name == f"eval_{self.attempts}"
-        failed = figures.Failures()
-
-        def record(attempt: Attempt, **more: Any) -> None:
-            self._attempts.append(attempt, **where, **more)
-            if last and not attempt.outcome.success:
-                failed.add(attempt)
-
         try:
-            with robot.film(self.folder / "video.mp4") if last else nullcontext():
-                title = f"evaluate at {step} ({policy.name})"
-                result = evaluate(robot, module.affordances, policy, self.protocol, record, title)
-            if failed.counts:
-                title = f"{self._title()}: failed attempts of the last evaluation"
-                figures.failures(failed, module.affordances, robot, title, self.folder / "figures" / "failures.png")
+            if robot.repeatable and step == 0 and self.attempts:
+                result = self._evaluated_once(robot, module, policy, where)
+            elif robot.repeatable and name == "eval_argmax":
+                result, _ = self._measured(robot, module, policy, where, self._without_failure(policy.name))
+            elif name == f"eval_{self.attempts}":
+                result = self._last_evaluation(robot, module, policy, where)
+            else:
+                result, _ = self._measured(robot, module, policy, where)
         finally:
             robot.close()
         rule = "" if policy.name == self.cfg.policy.name else f"_{policy.name}"
         self.dashboard.log({f"evaluate{rule}/{split}": result[split]["rate"] for split in SPLITS} | {"attempts": step})
         self.progress.set(name, result)
+
+    def _measured(
+        self,
+        robot: Robot,
+        module: AffordanceModule,
+        policy: Policy,
+        where: dict[str, Any],
+        known: dict[TestRun, list[Counts]] | None = None,
+        watch: Callable[[Attempt], None] = lambda attempt: None,
+    ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """The protocol on the robot: the result, and the rows of its attempts, which are in the log by then."""
+        rows: list[dict[str, Any]] = []
+
+        def record(attempt: Attempt, **more: Any) -> None:
+            rows.append(self._attempts.append(attempt, **where, **more))
+            watch(attempt)
+
+        title = f"evaluate at {where['step']} ({policy.name})"
+        return evaluate(robot, module.affordances, policy, self.protocol, record, title, known), rows
+
+    def _evaluated_once(self, robot: Robot, module: AffordanceModule, policy: Policy, where: dict[str, Any]) -> dict[str, Any]:
+        """Of a network that other runs have too, as all seeds of a model that was copied whole: from the cache, or made now."""
+        path = self.cache / "evaluations" / f"{self._evaluation_key(module, policy)}.json"
+
+        def make() -> None:
+            result, rows = self._measured(robot, module, policy, where)
+            write_json(path, {"result": result, "rows": rows})
+
+        made = once(path, make)
+        log.info("evaluate: before any attempt, %s %s", "kept at" if made else "from", path)
+        kept = read_json(path)
+        if not made:
+            self._attempts.extend(kept["rows"])
+        result: dict[str, Any] = kept["result"]
+        return result
+
+    def _evaluation_key(self, module: AffordanceModule, policy: Policy) -> str:
+        """Hash of everything that an evaluation depends on, the numbers of the network among it."""
+        cfg, digest = self.cfg, hashlib.sha256()
+        for name, value in sorted(module.acting.state_dict().items()):
+            digest.update(name.encode() + value.cpu().contiguous().numpy().tobytes())
+        keys = _plain(cfg, "robot", "workspace", "camera", "objects", "primitive", "evaluate", "policy")
+        for key in LOCAL_ROBOT:
+            keys["robot"].pop(key, None)
+        keys["evaluate"].pop("at")
+        keys |= {"network": digest.hexdigest(), "model": _plain(cfg.model, "network"), "rule": policy.name}
+        keys |= {"precision": cfg.precision, "threads": cfg.threads, "versions": versions()}
+        return content_hash(given_files(keys) | foreign_code(keys))
+
+    def _without_failure(self, policy: str) -> dict[TestRun, list[Counts]]:
+        """Test runs of the last evaluation in which every attempt succeeded: no rule would have picked anything else.
+
+        Their rows are added to the log, under the name of the other rule.
+        """
+        runs: dict[TestRun, list[dict[str, Any]]] = {}
+        for row in attempts_csv.read(self.folder / "attempts.csv"):
+            if (row["phase"], row["policy"], row["step"]) == ("eval", self.cfg.policy.name, str(self.attempts)):
+                split: Any = row["split"]
+                runs.setdefault((split, int(row["run"])), []).append({**row, "policy": policy})
+        clean = {key: rows for key, rows in runs.items() if all(row["success"] == "1" for row in rows)}
+        self._attempts.extend([row for rows in clean.values() for row in rows])
+        return {key: [Counts(True, row["truth"] == "1", int(row["lost"])) for row in rows] for key, rows in clean.items()}
+
+    def _last_evaluation(self, robot: Robot, module: AffordanceModule, policy: Policy, where: dict[str, Any]) -> dict[str, Any]:
+        """The same with a film, where the robot makes one, and a figure of what failed."""
+        failed = figures.Failures()
+
+        def watch(attempt: Attempt) -> None:
+            if not attempt.outcome.success:
+                failed.add(attempt)
+
+        with robot.film(self.folder / "video.mp4"):
+            result, _ = self._measured(robot, module, policy, where, watch=watch)
+        if failed.counts:
+            title = f"{self._title()}: failed attempts of the last evaluation"
+            figures.failures(failed, module.affordances, robot, title, self.folder / "figures" / "failures.png")
+        return result
 
     def _keep(self, row: dict[str, str], done: int) -> bool:
         """Whether a row of an interrupted run's log belongs to work that is not going to be repeated."""
@@ -395,7 +481,8 @@ class Run:
             color = torch.from_numpy(collection.arrays["color"][index])
             height = torch.from_numpy(collection.arrays["height"][index])
             angle = torch.from_numpy(chosen.integers(module.rotations.count, size=len(color)))
-            yield module.rotations.turned(module.network.prepare(color, height), angle)
+            x = module.network.prepare(color.to(self.device), height.to(self.device))
+            yield module.rotations.turned(x, angle.to(self.device))
 
     def _trainer(self, **more: Any) -> L.Trainer:
         logger = self.dashboard.logger or False
@@ -437,13 +524,17 @@ class Run:
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
+        """Count the seconds of the block as those of a stage, but for those of stages within it."""
+        start, outer = time.perf_counter(), self._within
+        self._within = 0.0
         try:
             yield
         finally:  # Ctrl-C too: what a run took before it was cut counts
+            took = time.perf_counter() - start
             seconds = self.progress.get("seconds") or {}
-            seconds[stage] = round(seconds.get(stage, 0.0) + time.perf_counter() - start, 1)
+            seconds[stage] = round(seconds.get(stage, 0.0) + took - self._within, 1)
             self.progress.set("seconds", seconds)
+            self._within = outer + took
 
     def _finish(self) -> dict[str, Any]:
         cfg, done = self.cfg, self.progress.done
@@ -456,6 +547,7 @@ class Run:
             "versions": versions(),
             "commit": commit(),
             "seconds": done["seconds"],
+            "evaluation_share": round(done["seconds"].get("evaluate", 0.0) / max(sum(done["seconds"].values()), 0.1), 3),
             "vision": done.get("vision"),
             "zero_shot": done["eval_0"],
             "eval": final if self.attempts else {**final, "repeated": True},

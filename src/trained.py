@@ -57,7 +57,7 @@ class TrainedModel:
 
     def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
         """Logits of success for every angle (a share k / A of half a turn) at every pixel of a heightmap of any size."""
-        rotations = _rotations(height.shape, int(self.config.primitive.angles), self.network.stride)
+        rotations = _rotations(height.shape, int(self.config.primitive.angles), self.network.stride).to(self.network.device)
         return affordances(self.network, rotations, color, height)
 
 
@@ -65,7 +65,7 @@ def save(path: Path, network: PixelNetwork, cfg: DictConfig) -> None:
     """Write the network that acts, and the configuration it was trained by."""
     config = OmegaConf.create({str(key): cfg[key] for key in cfg if key not in WITHOUT})
     metadata = {CONFIG: json.dumps(OmegaConf.to_container(config, resolve=True)), HASH: config_hash(cfg)}
-    state = {name: value.contiguous() for name, value in network.state_dict().items()}
+    state = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
     with replacing(path) as partial:
         partial.write_bytes(serialized(state, metadata))
 

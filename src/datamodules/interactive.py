@@ -159,7 +159,7 @@ class TrialAndError(L.Callback):
             self._learning_since = time.perf_counter()
 
     def on_train_batch_end(self, trainer: L.Trainer, module: Any, outputs: Any, batch: Any, index: int) -> None:
-        self._data.replay.update(module.surprise.numpy())
+        self._data.replay.update(module.surprise.cpu().numpy())
 
     def on_train_epoch_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
         result = self._data.last

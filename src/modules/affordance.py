@@ -10,22 +10,32 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, UInt8
 from see2act.modules.batchnorm import freeze
-from see2act.modules.network import TOGETHER, PixelNetwork
+from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import Rotations
 from see2act.modules.tint import tinted
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 
-@torch.no_grad()
 def affordances(
     network: PixelNetwork, rotations: Rotations, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]
 ) -> Float[np.ndarray, "A H W"]:
-    """Logits of success for every angle at every pixel of a heightmap, with the network's statistics as they are."""
-    x = network.prepare(torch.from_numpy(color)[None], torch.from_numpy(height)[None])
-    turned = rotations.all(x).split(TOGETHER)
-    maps: np.ndarray = rotations.back(torch.cat([network(maps) for maps in turned])).float().numpy()
+    """Logits of success for every angle at every pixel of a heightmap, with the network's statistics as they are.
+
+    Computed where the network is; ``rotations`` must be there too.
+    """
+    heightmap = (torch.from_numpy(array)[None].to(network.device) for array in (color, height))
+    maps: np.ndarray = turned_logits(network, rotations, *heightmap).cpu().numpy()
     return maps
+
+
+@torch.no_grad()
+def turned_logits(
+    network: PixelNetwork, rotations: Rotations, color: UInt8[Tensor, "1 H W 3"], height: Float[Tensor, "1 H W"]
+) -> Float[Tensor, "A H W"]:
+    """The same of tensors, on their device."""
+    turned = rotations.all(network.prepare(color, height)).split(network.together)
+    return rotations.back(torch.cat([network(maps) for maps in turned])).float()
 
 
 class AffordanceModule(L.LightningModule):
@@ -107,7 +117,7 @@ class AffordanceModule(L.LightningModule):
             x, row, col = _mirrored(x, row, col, batch["mirror"])
         if self._frozen:
             return self.network.logits_at(x, row, col)
-        executed: Tensor = self.network(x)[torch.arange(len(row)), 0, row, col]
+        executed: Tensor = self.network(x)[torch.arange(len(row), device=row.device), 0, row, col]
         return executed
 
     def train(self, mode: bool = True) -> AffordanceModule:

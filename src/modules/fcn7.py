@@ -79,7 +79,7 @@ class FCN7(PixelNetwork):
                     x, row, col = crop(x, row, col, stride, reach)
                 x = layer(x)
                 stride = {nn.MaxPool2d: stride * 2, nn.Upsample: stride // 2}.get(type(layer), stride)
-        return x[torch.arange(len(x)), 0, row, col].float()
+        return x[torch.arange(len(x), device=x.device), 0, row, col].float()
 
     def _reaches(self) -> list[tuple[nn.Module, int]]:
         """Every layer with how many of its inputs, to each side, a logit depends on."""

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
 PRECISIONS = ("fp32", "bf16")
-TOGETHER = 4
-"""Heightmaps that go through a network at once: more of them no longer fit a processor's cache."""
+TOGETHER = {"fp32": 2, "bf16": 4}
+"""Heightmaps that go through a network at once on a processor: more of them no longer fit its cache."""
 
 
 class Normalization(nn.Module):
@@ -74,6 +74,16 @@ class PixelNetwork(nn.Module):
         self._layout = torch.channels_last
         self.to(memory_format=self._layout)
 
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self.normalization.mean.device
+
+    @property
+    def together(self) -> int:
+        """Heightmaps that go through it at once: as many as it computes fastest, and all that there are on an accelerator."""
+        return TOGETHER[self._precision] if self.device.type == "cpu" else 16
+
     def prepare(self, color: UInt8[Tensor, "B H W 3"], height: Float[Tensor, "B H W"]) -> Float[Tensor, "B 4 H W"]:
         """Normalised network input; zero is the average pixel, which is also what padding looks like."""
         rgb = color.permute(0, 3, 1, 2).to(height.dtype) / 255
@@ -90,7 +100,7 @@ class PixelNetwork(nn.Module):
 
     def autocast(self) -> torch.autocast:
         """Computes in the precision that was chosen."""
-        return torch.autocast(self.normalization.mean.device.type, torch.bfloat16, enabled=self._precision == "bf16")
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self._precision == "bf16")
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 1 H W"]:
         """Logits of prepared input."""
@@ -103,23 +113,23 @@ class PixelNetwork(nn.Module):
         """Probabilities for every pixel of many heightmaps, with fixed statistics."""
         training = self.training
         self.eval()
-        parts = zip(torch.from_numpy(color).split(TOGETHER), torch.from_numpy(height).split(TOGETHER), strict=True)
-        maps = [torch.sigmoid(self(self.prepare(*part)))[:, 0] for part in parts]
+        parts = zip(*(torch.from_numpy(array).split(self.together) for array in (color, height)), strict=True)
+        maps = [torch.sigmoid(self(self.prepare(*(array.to(self.device) for array in part))))[:, 0].cpu() for part in parts]
         self.train(training)
         return torch.cat(maps).numpy()
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
         """The logit of one pixel of each input."""
-        logits: Tensor = self(x)[torch.arange(len(x)), 0, row, col]
+        logits: Tensor = self(x)[torch.arange(len(x), device=x.device), 0, row, col]
         return logits
 
 
 class Logits(nn.Conv2d):
-    """The last convolution, always in single precision: in bfloat16 large logits are equal, and ties go to the upper left."""
+    """The last convolution, in its parameters' precision: in bfloat16 large logits are equal, and ties go to the upper left."""
 
     def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B K H W"]:
         with torch.autocast(x.device.type, enabled=False):
-            return super().forward(x.float())
+            return super().forward(x.to(self.weight.dtype))
 
 
 def crop(

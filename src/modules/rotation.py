@@ -7,7 +7,7 @@ import math
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
 
 def sampling_grid(
@@ -24,9 +24,10 @@ def sampling_grid(
         canvas: Rows and columns of the result.
         offset: Rows and columns by which each canvas' centre is moved on the turned image.
     """
-    rows = torch.arange(canvas[0], dtype=torch.float32) - (canvas[0] - 1) / 2
-    cols = torch.arange(canvas[1], dtype=torch.float32) - (canvas[1] - 1) / 2
-    offset = torch.zeros(len(angles), 2) if offset is None else offset
+    here = angles.device
+    rows = torch.arange(canvas[0], dtype=torch.float32, device=here) - (canvas[0] - 1) / 2
+    cols = torch.arange(canvas[1], dtype=torch.float32, device=here) - (canvas[1] - 1) / 2
+    offset = torch.zeros(len(angles), 2, device=here) if offset is None else offset
     dv = rows[None, :, None] + offset[:, 0, None, None]
     du = cols[None, None, :] + offset[:, 1, None, None]
     c, s = torch.cos(angles)[:, None, None], torch.sin(angles)[:, None, None]
@@ -45,8 +46,10 @@ def warp_nearest(x: Float[Tensor, "B C H W"], grid: Float[Tensor, "B h w 2"]) ->
     return F.grid_sample(x, grid, mode="nearest", padding_mode="zeros", align_corners=False)
 
 
-class Rotations:
+class Rotations(nn.Module):
     """A fixed set of turns of heightmaps of one shape, with the way back to their pixels.
+
+    Its tables are buffers, which follow the network from device to device and are in no checkpoint.
 
     Args:
         shape: Rows and columns of the heightmap.
@@ -54,19 +57,29 @@ class Rotations:
         stride: The canvas' sides are multiples of this.
     """
 
+    angles: Tensor
+    _centre: Tensor
+    _grid: Tensor
+    _rows: Tensor
+    _cols: Tensor
+
     def __init__(self, shape: tuple[int, int], count: int, stride: int):
+        super().__init__()
         self.shape = shape
         self.count = count
         self.stride = stride
-        self.angles = torch.arange(count) * (math.pi / count)
         side = math.hypot(*shape)
         height, width = (math.ceil((n if count == 1 else side) / stride) * stride for n in shape)
         self.canvas = (height, width)
+        angles = torch.arange(count) * (math.pi / count)
         # Of the heightmap on the canvas. Not the canvas' own centre: that lies half a pixel beside it where a side is odd.
-        self._centre = torch.tensor([(n - 1) / 2 + (side - n) // 2 for n, side in zip(shape, self.canvas, strict=True)])
-        beside = (torch.tensor(self.canvas) - 1) / 2 - self._centre
-        self._grid = sampling_grid(self.angles, shape, self.canvas, beside.expand(count, 2))
-        self._rows, self._cols = self._forward_index()
+        centre = torch.tensor([(n - 1) / 2 + (side - n) // 2 for n, side in zip(shape, self.canvas, strict=True)])
+        beside = (torch.tensor(self.canvas) - 1) / 2 - centre
+        rows, cols = _forward_index(shape, self.canvas, angles, centre)
+        tables = {"angles": angles, "_centre": centre, "_rows": rows, "_cols": cols}
+        tables["_grid"] = sampling_grid(angles, shape, self.canvas, beside.expand(count, 2))
+        for name, table in tables.items():
+            self.register_buffer(name, table, persistent=False)
 
     def all(self, x: Float[Tensor, "1 4 H W"]) -> Float[Tensor, "A 4 h w"]:
         """Every turn of one heightmap."""
@@ -74,7 +87,7 @@ class Rotations:
 
     def back(self, maps: Float[Tensor, "A 1 h w"]) -> Float[Tensor, "A H W"]:
         """Values of turned maps at the pixels of the original heightmap."""
-        index = torch.arange(self.count)[:, None, None]
+        index = torch.arange(self.count, device=maps.device)[:, None, None]
         return maps[index, 0, self._rows, self._cols]
 
     def locate(self, angle: Int[Tensor, " B"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> tuple[Tensor, Tensor]:
@@ -118,8 +131,8 @@ class Rotations:
         left = self._start(cols, width, self.canvas[1], reach)
         rows, cols = rows - top, cols - left
         corner = torch.stack([top, left], dim=1)
-        turn = torch.zeros(len(x)) if turn is None else turn
-        shift = torch.zeros(len(x), 2) if shift is None else shift
+        turn = torch.zeros(len(x), device=x.device) if turn is None else turn
+        shift = torch.zeros(len(x), 2, device=x.device) if shift is None else shift
         grid = self._grid_about(torch.stack([rows, cols], dim=1), corner, (height, width), angle, turn, shift)
         return warp(x, grid), rows, cols
 
@@ -131,19 +144,20 @@ class Rotations:
         self, pixel: Tensor, corner: Tensor, size: tuple[int, int], angle: Tensor, turn: Tensor, shift: Tensor
     ) -> Float[Tensor, "B h w 2"]:
         """Of windows of ``size`` at ``corner`` of the canvas, turned about their ``pixel`` and shifted."""
-        within = pixel - (torch.tensor(size) - 1) / 2
+        within = pixel - (torch.tensor(size, device=pixel.device) - 1) / 2
         v, u = (pixel + corner - self._centre + shift).T
         c, s = torch.cos(turn), torch.sin(turn)
         there = torch.stack([c * v + s * u, c * u - s * v], dim=1)
         return sampling_grid(self.angles[angle] + turn, self.shape, size, there - within)
 
-    def _forward_index(self) -> tuple[Tensor, Tensor]:
-        v = torch.arange(self.shape[0])[None, :, None] - (self.shape[0] - 1) / 2
-        u = torch.arange(self.shape[1])[None, None, :] - (self.shape[1] - 1) / 2
-        c, s = torch.cos(self.angles)[:, None, None], torch.sin(self.angles)[:, None, None]
-        rows = s * u + c * v + self._centre[0]
-        cols = c * u - s * v + self._centre[1]
-        return (
-            rows.round().long().clamp(0, self.canvas[0] - 1),
-            cols.round().long().clamp(0, self.canvas[1] - 1),
-        )
+
+def _forward_index(
+    shape: tuple[int, int], canvas: tuple[int, int], angles: Float[Tensor, " A"], centre: Float[Tensor, "2"]
+) -> tuple[Int[Tensor, "A H W"], Int[Tensor, "A H W"]]:
+    """Row and column on the turned canvas of each pixel of the heightmap."""
+    v = torch.arange(shape[0])[None, :, None] - (shape[0] - 1) / 2
+    u = torch.arange(shape[1])[None, None, :] - (shape[1] - 1) / 2
+    c, s = torch.cos(angles)[:, None, None], torch.sin(angles)[:, None, None]
+    rows = s * u + c * v + centre[0]
+    cols = c * u - s * v + centre[1]
+    return rows.round().long().clamp(0, canvas[0] - 1), cols.round().long().clamp(0, canvas[1] - 1)

@@ -132,4 +132,4 @@ class RPN(PixelNetwork):
             merged = backbone.merged(x.contiguous(memory_format=self._layout))
             merged, row, col = crop(merged, row, col, STRIDE, REACH)
             logits: Tensor = self.head(backbone.smoothed(merged))
-        return logits[torch.arange(len(x)), 0, row, col].float()
+        return logits[torch.arange(len(x), device=x.device), 0, row, col].float()

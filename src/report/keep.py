@@ -44,7 +44,7 @@ def keep(found: Found, folder: Path) -> None:
 
 def _outcome(result: dict[str, Any]) -> dict[str, Any]:
     """All but how long it took, and by which of several commits with the same code."""
-    return {key: value for key, value in result.items() if key not in ("seconds", "commit")}
+    return {key: value for key, value in result.items() if key not in ("seconds", "evaluation_share", "commit")}
 
 
 def _packed(path: Path) -> bytes:

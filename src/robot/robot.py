@@ -41,6 +41,8 @@ class Robot(ABC):
     primitive: str
     half_opening: float = 0.0
     """Metres from a pick to each open jaw, along the pick's angle; 0 where the tool has none. For pictures."""
+    repeatable: bool = False
+    """Whether the same picks in a scene of the same seed always end alike, so that no test run need be made twice."""
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
@@ -119,6 +121,8 @@ class SimulatedRobot(Robot):
     Raises:
         RobotError: There is no such motion, the camera sees nothing of the workspace, or home is out of the arm's reach.
     """
+
+    repeatable = True
 
     def __init__(
         self,
