@@ -15,12 +15,13 @@ import torch.nn.functional as F
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from see2act import build
-from see2act.config import composed, native_precision
+from see2act.config import composed
 from see2act.datamodules.replay import Replay
 from see2act.evaluation import scene_seed
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.network import PRECISIONS, PixelNetwork
+from see2act.processor import computes_bf16
 from see2act.robot.robot import SimulatedRobot
 from see2act.seeding import generator
 from torch import Tensor
@@ -107,7 +108,7 @@ def deciding(overrides: list[str], model: str, repeats: int) -> list[dict[str, A
     targets = {("fcn7", "fp32"): 1.2, ("fcn7", "bf16"): 3.0, ("rpn_r50_fpn", "bf16"): 2.0}
     for precision in PRECISIONS:
         name = f"decision, 16 rotations, {model}, {precision}"
-        if precision == "bf16" and native_precision() != "bf16":
+        if precision == "bf16" and not computes_bf16():
             rows.append(not_here(name))
             continue
         ours = _fast(plain, precision)
@@ -137,7 +138,7 @@ def learning(overrides: list[str], model: str, primitive: str, repeats: int) -> 
     targets = {("fcn7", "suction", "fp32"): 2.0, ("fcn7", "grasp", "fp32"): 3.0, ("rpn_r50_fpn", "grasp", "bf16"): 2.0}
     for precision in PRECISIONS:
         name = f"learning step, {model}, {primitive}, {precision}"
-        if precision == "bf16" and native_precision() != "bf16":
+        if precision == "bf16" and not computes_bf16():
             rows.append(not_here(name))
             continue
         ours = _fast(plain, precision)

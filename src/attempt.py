@@ -12,6 +12,7 @@ from jaxtyping import Float
 from see2act.policy import Choice, Policy
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick
+from see2act.robot.workspace import Workspace
 
 Affordances = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
 """From colour (H, W, 3) uint8 and height (H, W) metres to logits of success."""
@@ -46,12 +47,24 @@ def attempt(
     start = time.perf_counter()
     observation = robot.observe()
     seen = time.perf_counter()
+    choice, pick = decide(observation, robot.workspace, affordances, policy, temperature, rng)
+    decided = time.perf_counter()
+    outcome = robot.execute(pick)
+    policy.remember(choice, observation.heightmap, outcome.success)
+    acted = time.perf_counter()
+    return Attempt(observation, choice, pick, outcome, seen - start, decided - seen, acted - decided)
+
+
+def decide(
+    observation: Observation,
+    workspace: Workspace,
+    affordances: Affordances,
+    policy: Policy,
+    temperature: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> tuple[Choice, Pick]:
+    """What the policy chooses from an observation, and the pick that it means."""
     heightmap = observation.heightmap
     logits = affordances(heightmap.color, heightmap.height)
     choice = policy.choose(logits, heightmap, temperature, rng)
-    decided = time.perf_counter()
-    pick = robot.workspace.pick(heightmap, choice.row, choice.col, choice.angle * math.pi / len(logits))
-    outcome = robot.execute(pick)
-    policy.remember(choice, heightmap, outcome.success)
-    acted = time.perf_counter()
-    return Attempt(observation, choice, pick, outcome, seen - start, decided - seen, acted - decided)
+    return choice, workspace.pick(heightmap, choice.row, choice.col, choice.angle * math.pi / len(logits))

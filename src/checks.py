@@ -89,7 +89,7 @@ COUNTS = (
     "threads",
     *(f"collect.{key}" for key in ("interactions", "per_scene", "workers")),
     *(f"pretrain.{key}" for key in ("epochs", "batch_size", "test_scenes")),
-    *(f"finetune.{key}" for key in ("updates", "batch_size", "episode_attempts")),
+    *(f"finetune.{key}" for key in ("robots", "updates", "batch_size", "episode_attempts")),
     *("evaluate.runs", "primitive.angles", "figures.scenes"),
 )
 """Keys that must be at least 1."""
@@ -163,12 +163,26 @@ def _check_numbers(cfg: DictConfig) -> None:
         _at_least(f"evaluate.attempts.{split}", cfg.evaluate.attempts.get(split, 0), 1)
     for step in cfg.evaluate.at:
         _at_least("evaluate.at", step, 0)
+    _check_robots(cfg)
     if not 0 <= cfg.finetune.averaging < 1:
         raise ConfigError(f"finetune.averaging={cfg.finetune.averaging} must be at least 0 and below 1: 0 does not average")
     if not 0 < cfg.finetune.replay.floor < math.inf:
         raise ConfigError(f"finetune.replay.floor={cfg.finetune.replay.floor} must be above 0, or some are never drawn")
     if not 0 < cfg.finetune.logit_scale < math.inf:
         raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
+
+
+def _check_robots(cfg: DictConfig) -> None:
+    """Robots side by side all try before anything else happens."""
+    robots, attempts = cfg.finetune.robots, cfg.finetune.attempts
+    steps = [step for step in cfg.evaluate.at if step <= attempts]
+    if attempts % robots or any(step % robots for step in steps):
+        at = sorted({-(-step // robots) * robots for step in steps})
+        raise ConfigError(
+            f"finetune.robots={robots} make as many attempts at once, so finetune.attempts={attempts} and "
+            f"evaluate.at={list(cfg.evaluate.at)} must be multiples of it: "
+            f"finetune.attempts={-(-attempts // robots) * robots} 'evaluate.at={at}'"
+        )
 
 
 def _check_physical(node: Any, path: str) -> None:

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_module
@@ -16,6 +15,7 @@ from hydra.errors import HydraException
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from see2act.cache import foreign_code, given_files
+from see2act.processor import fastest_precision
 
 LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
 """What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
@@ -130,6 +130,7 @@ class FinetuneConfig:
     """Learning to act."""
 
     attempts: int = MISSING
+    robots: int = MISSING
     updates: int = MISSING
     batch_size: int = MISSING
     backbone_lr: float = MISSING
@@ -198,7 +199,7 @@ class Config:
     labels: str = "truth"
     seed: int = 0
     precision: str = MISSING
-    """``bf16`` or ``fp32``; see :func:`native_precision`."""
+    """``bf16`` or ``fp32``; see :mod:`see2act.processor`."""
     threads: int = 2
     """Of torch. Sums depend on it in the last digits, as they do on the processor; neither is part of the hash."""
     force: bool = False
@@ -214,16 +215,7 @@ def register() -> None:
     """Make the schema and the hash known to Hydra; safe to call twice."""
     ConfigStore.instance().store("schema", Config)
     OmegaConf.register_new_resolver("config_hash", lambda _root_: config_hash(_root_), replace=True)
-    OmegaConf.register_new_resolver("native_precision", native_precision, replace=True)
-
-
-def native_precision() -> str:
-    """``bf16`` where the processor computes in bfloat16, which is several times faster there, or else ``fp32``."""
-    try:
-        flags = Path("/proc/cpuinfo").read_text().split()
-    except OSError:
-        return "fp32"
-    return "bf16" if {"avx512_bf16", "amx_bf16"} & {*flags} else "fp32"
+    OmegaConf.register_new_resolver("fastest_precision", fastest_precision, replace=True)
 
 
 def composed(overrides: Sequence[str] = ()) -> DictConfig:

@@ -38,6 +38,7 @@ from see2act.modules.transfer import TransferError, TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
 from see2act.results import Progress, commit, curve, packages, versions
+from see2act.robot.group import RobotGroup
 from see2act.robot.robot import Robot
 from see2act.seeding import generator, seed_for
 from torch import Tensor
@@ -300,11 +301,12 @@ class Run:
 
     def _fit(self, module: AffordanceModule, resume: Path | None, steps: list[int]) -> None:
         cfg = self.cfg
-        robot = build.robot_factory(cfg, cfg.primitive)()
+        robots = RobotGroup(build.robot_factory(cfg, cfg.primitive), cfg.finetune.robots)
         try:
             replay = Replay(**cfg.finetune.replay, pixel=cfg.workspace.pixel, rng=generator("replay", cfg.seed))
             data = InteractiveDataModule(
-                robot,
+                robots,
+                instantiate(cfg.workspace),
                 build.policy(cfg),
                 replay,
                 cfg.seed,
@@ -324,7 +326,7 @@ class Run:
                 cfg.primitive.name,
             )
             trainer = self._trainer(
-                max_epochs=self.attempts,
+                max_epochs=self.attempts // cfg.finetune.robots,
                 callbacks=[loop],
                 limit_val_batches=0,
                 enable_progress_bar=False,
@@ -340,7 +342,7 @@ class Run:
                 with replacing(self.checkpoints / f"{name}.ckpt") as partial:
                     trainer.save_checkpoint(partial, weights_only=weights_only)
         finally:
-            robot.close()
+            robots.close()
         module.to(self.device)  # Lightning has brought it back to the processor
         self.progress.set("finetuned", True)
 

@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from safetensors.torch import save as serialized
-from see2act.config import config_hash, native_precision
+from see2act.config import config_hash
 from see2act.files import replacing
 from see2act.modules.affordance import affordances
 from see2act.modules.network import PixelNetwork
@@ -116,8 +116,7 @@ def _model(metadata: Mapping[str, str], state: dict[str, Tensor]) -> TrainedMode
     assert isinstance(config, DictConfig)
     network = _built(config.model.network)
     network.load_state_dict(state)
-    # Weights that were trained in single precision stay in it.
-    network.speed_up(native_precision() if config.precision == "bf16" else "fp32")
+    network.speed_up("fp32")  # exact, and the same on every processor
     return TrainedModel(network.eval(), config, metadata[HASH])
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 from see2act.checks import illegal_cell, validate
@@ -193,7 +194,19 @@ def test_what_makes_sense_is_let_through(overrides: list[str], tmp_path: Path, m
 def test_the_trainer_is_checked_where_nothing_is_learned_beforehand() -> None:
     with pytest.raises(ConfigError, match="this machine has no such trainer"):
         _check(["task=none", "transfer=none", "+trainer.gradient_clip_algorithm=foo", "+trainer.gradient_clip_val=1.0"])
-    _check(["task=none", "transfer=none", "trainer=gpu"])  # fine-tuning is on the CPU
+    if not torch.cuda.is_available():  # deciding and learning need it too
+        with pytest.raises(ConfigError, match="this machine has no such trainer"):
+            _check(["task=none", "transfer=none", "trainer=gpu"])
+    _check(["task=none", "transfer=none", "trainer=ddp", "trainer.accelerator=cpu"])  # robots learn on one device of them
+
+
+def test_robots_side_by_side_need_counts_that_they_can_make(config: Callable) -> None:
+    validate(config("finetune.robots=2"))
+    with pytest.raises(ConfigError, match=r"finetune\.attempts=152 'evaluate\.at=\[0, 60, 152\]'"):
+        validate(config("finetune.robots=4"))
+    validate(config("finetune.robots=4", "finetune.attempts=152", "evaluate.at=[0,60,152]"))
+    with pytest.raises(ConfigError, match=r"finetune\.robots=0"):
+        validate(config("finetune.robots=0"))
 
 
 @pytest.mark.parametrize("override", ["model.backbone=resnet7", "model.depth=late", "model.anchors=0"])
@@ -380,22 +393,22 @@ def test_help_does_not_wait_for_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0
 
 
-def test_the_precision_is_the_processors_own_and_part_of_the_hash(config: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    hashes = set()
-    for flags, expected in (("fpu avx512f avx512_bf16", "bf16"), ("fpu avx2", "fp32")):
-        monkeypatch.setattr(Path, "read_text", lambda _, flags=flags: f"flags : {flags}")
-        cfg = config()
-        assert cfg.precision == expected
-        hashes.add(config_hash(cfg))
-    assert len(hashes) == 2
+def test_the_precision_is_part_of_the_hash_and_so_is_a_gpu(config: Callable) -> None:
+    precise = config("precision=fp32")
+    assert config_hash(precise) != config_hash(config("precision=bf16"))
+    assert config_hash(precise) != config_hash(config("precision=fp32", "trainer=gpu"))
+    assert config("trainer=gpu").precision == "bf16"
+
+
+def test_values_out_of_their_range_are_refused(config: Callable) -> None:
     with pytest.raises(ConfigError, match="use precision=bf16"):
         validate(config("+trainer.precision=bf16-mixed"))
     with pytest.raises(ConfigError, match="logit_scale=0"):
         validate(config("finetune.logit_scale=0"))
     with pytest.raises(ConfigError, match="scenes=test"):
         validate(config("evaluate.scenes=test"))
-    with pytest.raises(ConfigError, match="precision=fp16"):
-        validate(config("precision=fp16"))
+    with pytest.raises(ConfigError, match=r"precision/fp16.*auto bf16 fp32"):
+        config("precision=fp16")
 
 
 @pytest.mark.parametrize(("launcher", "jobs"), [("joblib", -1), ("basic", None)])
