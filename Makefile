@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install train demo test smoke check bench format clean
+.PHONY: install train demo test smoke check bench gpu-check format clean
 
 install: .venv/installed
 
@@ -29,6 +29,9 @@ smoke: install  ## every cell of the benchmark once, tiny, and the report of it
 
 bench: install  ## about 25 minutes; nothing else should run beside it
 	$(BIN)/python -m benchmarks.speed $(ARGS)
+
+gpu-check: install  ## where there is a GPU: a short run of both networks on it, and a table of times against the processor
+	$(BIN)/python -m benchmarks.gpu $(ARGS)
 
 check: install
 	$(BIN)/ruff format --check .

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from hydra.errors import HydraException
@@ -17,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from safetensors.torch import save as serialized
-from see2act.config import config_hash
+from see2act.config import LOCAL_ROBOT, config_hash
 from see2act.files import replacing
 from see2act.modules.affordance import affordances
 from see2act.modules.network import PixelNetwork
@@ -63,8 +64,11 @@ class TrainedModel:
 
 def save(path: Path, network: PixelNetwork, cfg: DictConfig) -> None:
     """Write the network that acts, and the configuration it was trained by."""
-    config = OmegaConf.create({str(key): cfg[key] for key in cfg if key not in WITHOUT})
-    metadata = {CONFIG: json.dumps(OmegaConf.to_container(config, resolve=True)), HASH: config_hash(cfg)}
+    config = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in ("hydra", "logger")])
+    plain: Any = OmegaConf.to_container(config, resolve=True)
+    plain = {key: value for key, value in plain.items() if key not in WITHOUT}
+    plain["robot"] = {key: value for key, value in plain["robot"].items() if key not in LOCAL_ROBOT}
+    metadata = {CONFIG: json.dumps(plain), HASH: config_hash(cfg)}
     state = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
     with replacing(path) as partial:
         partial.write_bytes(serialized(state, metadata))
