@@ -113,6 +113,11 @@ def limit(name: str, seconds: float, most: float) -> dict[str, Any]:
     return _row(name, seconds, None, None, f"<= {most:g} s", seconds <= most)
 
 
+def measured(name: str, seconds: float) -> dict[str, Any]:
+    """A row for a time in seconds that has neither a plain twin nor a target."""
+    return _row(name, seconds, None, None, "", None)
+
+
 def timed(description: str | None, title: str, rows: Callable[[list[str], int], Iterable[dict[str, Any]]]) -> None:
     """The command of a measurement of time: ``rows(overrides, repeats)``, each told as it comes, then printed and written."""
     parser = arguments(description, workers=False)

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Iterator
 from dataclasses import replace
 from statistics import median
+from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
@@ -47,6 +48,24 @@ def observing(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
         overhead("observation, against getCameraImage", ours, plain, 1.3),
         limit("observation", ours, 0.035),
     ]
+
+
+def filling(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
+    """A scene put back from its layout, against the same scene dropped."""
+    cfg = composed(overrides)
+    with TemporaryDirectory() as scratch:
+        robots = [_robot(composed([*overrides, f"robot.layouts={layouts}"])) for layouts in (scratch, "null")]
+        scenes = [scene_seed("seen", run) for run in range(max(2, repeats // 2))]
+
+        def fill(robot: SimulatedRobot) -> None:
+            for seed in scenes:
+                robot.reset(seed, "seen")
+
+        seconds, dropped = race(lambda: fill(robots[0]), lambda: fill(robots[1]), 1)
+        for robot in robots:
+            robot.close()
+    name = f"a bin filled from its layout, against dropped ({cfg.objects.kinds * cfg.objects.copies} objects)"
+    return [faster(name, seconds / len(scenes), dropped / len(scenes), None)]
 
 
 def attempting(overrides: list[str], primitive: str, picks: int) -> list[dict[str, Any]]:
@@ -237,6 +256,7 @@ def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
     """The whole table, on one thread."""
     torch.set_num_threads(1)
     yield from observing(overrides, repeats)
+    yield from filling(overrides, repeats)
     for primitive in PRIMITIVES:
         yield from attempting(overrides, primitive, 3 * repeats)
     yield from deciding(overrides, "fcn7", repeats)
