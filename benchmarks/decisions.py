@@ -1,7 +1,7 @@
 """Whether decisions are those of the plain network: the shipped models on scenes of the robot, as runs compute against fp32.
 
-The plain way is single precision, one rotation after the other, as a network comes. `precision=bf16` or `precision=fp32` says what
-it is compared with; by default that is what runs take on this processor.
+The plain way is single precision, one rotation after the other, as a network comes. It is compared with `precision=`,
+by default what runs take on this processor.
 """
 
 from __future__ import annotations

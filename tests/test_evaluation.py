@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from see2act.evaluation import Protocol, evaluate, scene_seed
+from see2act.evaluation import Counts, Protocol, evaluate, scene_seed
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick
@@ -98,3 +98,16 @@ def test_every_run_starts_with_an_empty_memory() -> None:
         lambda a, **w: None,
     )
     assert len({(pick.row, pick.col, pick.angle) for pick in robot.picks}) == 1
+
+
+def test_test_runs_that_are_known_are_counted_and_not_made_again() -> None:
+    protocol = Protocol(runs=2, attempts={"seen": 25, "unseen": 15})
+    policy = Policy("suppress", True, 0.0025)
+    whole = evaluate(CountingRobot(3), _affordances, policy, protocol, lambda attempt, **where: None)
+    known = {
+        ("seen", 1): [Counts(False, False, 0), Counts(True, False, 0)] + 2 * [Counts(False, False, 0), Counts(True, True, 0)]
+    }
+    robot, rows = CountingRobot(3), []
+    assert evaluate(robot, _affordances, policy, protocol, lambda a, **where: rows.append(where), known=known) == whole
+    assert robot.resets == [(scene_seed("seen", 0), "seen"), *((scene_seed("unseen", run), "unseen") for run in range(2))]
+    assert ("seen", 1) not in {(row["split"], row["run"]) for row in rows}

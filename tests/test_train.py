@@ -17,8 +17,11 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
+from see2act import attempts_csv
+from see2act.attempts_csv import AttemptsCsv
 from see2act.config import ConfigError, composed
 from see2act.datamodules.collect import Collection
+from see2act.evaluation import Counts
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.pipeline import Run
@@ -100,7 +103,9 @@ def test_a_run_leaves_what_the_design_promises(run: tuple[Path, str]) -> None:
     folder, out = run
     result = json.loads((folder / "result.json").read_text())
     assert result["choices"]["task"] == "foreground"
-    assert set(result["seconds"]) >= {"collect", "pretrain", "transfer", "finetune"}
+    assert set(result["seconds"]) >= {"collect", "pretrain", "transfer", "finetune", "evaluate"}
+    share = result["seconds"]["evaluate"] / sum(result["seconds"].values())
+    assert result["evaluation_share"] == pytest.approx(share, abs=0.001)
     assert set(result["vision"]) == {"positive_share", "val_loss", "average_precision"}
     assert 0 < result["vision"]["average_precision"] <= 1
     for name in ("zero_shot", "eval", "eval_argmax"):
@@ -152,6 +157,38 @@ def test_the_dashboard_is_read_back(run: tuple[Path, str]) -> None:
     (table,) = (offline / "files" / "media" / "table").glob("attempts_*.table.json")
     assert len(json.loads(table.read_text())["data"]) == len(_rows(folder))
     assert "lookup" not in "".join(log.read_text() for log in (offline / "logs").glob("debug*.log"))
+
+
+def test_what_seeds_have_in_common_is_evaluated_once(run: tuple[Path, str], cache: Path, tmp_path: Path) -> None:
+    folder, out = run
+    assert "evaluate: before any attempt, kept at" in out
+    again = _train(tmp_path / "other", cache, "logger=none", "seed=1", *RUN)
+    assert "evaluate: before any attempt, from" in again
+    zero_shots = [[row for row in _rows(each) if row["phase"] == "zero_shot"] for each in (folder, tmp_path / "other")]
+    assert zero_shots[0] == zero_shots[1] != []
+    results = [json.loads((each / "result.json").read_text()) for each in (folder, tmp_path / "other")]
+    assert results[0]["zero_shot"] == results[1]["zero_shot"]
+    assert _rows(folder) != _rows(tmp_path / "other"), "the seeds learn alike"
+
+
+def test_the_plain_rule_repeats_only_test_runs_with_a_failure(config: Callable, tmp_path: Path) -> None:
+    job = Run(config("finetune.attempts=6"), tmp_path)
+    job._attempts = AttemptsCsv(tmp_path / "attempts.csv", lambda row: True)
+    where = {"phase": "eval", "policy": "suppress", "step": 6}
+    outcomes = {("seen", 0): (1, 1), ("seen", 1): (1, 0), ("unseen", 0): (1,)}
+    empty = dict.fromkeys(attempts_csv.COLUMNS, 0)
+    for (split, number), successes in outcomes.items():
+        job._attempts.extend([{**empty, **where, "split": split, "run": number, "success": s, "truth": s} for s in successes])
+    job._attempts.extend([{**empty, **where, "step": 3, "split": "unseen", "run": 1, "success": 1}])  # of an earlier evaluation
+    assert job._without_failure("argmax") == {
+        ("seen", 0): [Counts(True, True, 0)] * 2,
+        ("unseen", 0): [Counts(True, True, 0)],
+    }
+    added = attempts_csv.read(tmp_path / "attempts.csv")[6:]
+    assert [(row["policy"], row["split"], row["run"]) for row in added] == [
+        *[("argmax", "seen", "0")] * 2,
+        ("argmax", "unseen", "0"),
+    ]
 
 
 def test_a_finished_run_is_not_repeated(run: tuple[Path, str], cache: Path) -> None:
@@ -239,6 +276,18 @@ def test_time_before_an_interruption_counts(config: Callable, tmp_path: Path) ->
     with pytest.raises(KeyboardInterrupt):
         cut_short()
     assert job.progress.get("seconds")["finetune"] >= 0.2
+
+
+def test_seconds_of_a_stage_within_another_are_not_counted_twice(config: Callable, tmp_path: Path) -> None:
+    job = Run(config(), tmp_path)
+    with job._timed("finetune"):
+        for _ in range(2):
+            with job._timed("evaluate"):
+                time.sleep(0.15)
+        time.sleep(0.1)
+    seconds = job.progress.get("seconds")
+    assert 0.3 <= seconds["evaluate"] < 0.5
+    assert 0.1 <= seconds["finetune"] < 0.3
 
 
 def test_a_vision_model_that_does_not_fit_is_refused_before_any_work(run: tuple[Path, str], tmp_path: Path) -> None:
