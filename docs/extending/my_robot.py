@@ -35,6 +35,8 @@ class Discs(Robot):
         camera, objects, end_effector: Given to every robot; the tool's name is all that is used here.
     """
 
+    repeatable = True  # a simulation without chance but that of its seed
+
     def __init__(self, workspace: Workspace, noise: float, camera: Any, objects: Any, end_effector: Any):
         self.workspace, self.primitive = workspace, end_effector.primitive
         self._noise = noise
