@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,8 +57,13 @@ def _layouts_key(cfg: DictConfig) -> str:
         "workspace": _plain(cfg.workspace),
         "objects": _plain(cfg.objects),
     }
-    keys |= {"code": code_hash("robot", "seeding.py"), "versions": packages()}
+    keys |= {"code": _code_of_robots(), "versions": packages()}
     return content_hash(given_files(keys) | foreign_code(keys))
+
+
+@cache  # robots are built often
+def _code_of_robots() -> str:
+    return code_hash("robot", "seeding.py")
 
 
 def check_parts(cfg: DictConfig) -> None:

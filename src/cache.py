@@ -8,7 +8,6 @@ import importlib.util
 import logging
 import sys
 from collections.abc import Callable
-from functools import cache
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ log = logging.getLogger("see2act")
 SOURCES = Path(__file__).parent
 
 
-@cache
 def code_hash(*places: str) -> str:
     """Twelve hexadecimal digits of the source files in folders or files of this package, comments and docstrings aside.
 

@@ -43,7 +43,8 @@ def test_stages_give_what_the_plain_way_gives() -> None:
     names = [row["name"] for row in stages.observing(TINY, 1)]
     names += [row["name"] for row in stages.deciding(TINY, "fcn7", 1)]
     names += [row["name"] for row in stages.learning(TINY, "fcn7", "grasp", 1)]
-    assert len(names) == len(set(names)) == 5
+    names += [row["name"] for row in stages.filling(TINY, 1)]
+    assert len(names) == len(set(names)) == 7
 
 
 def test_a_decision_that_differs_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,16 @@ def highest(config: Callable[..., DictConfig]) -> TrainedModel:
 
 @pytest.fixture(scope="module")
 def robot(make_robot: Callable[..., SimulatedRobot]) -> SimulatedRobot:
-    return make_robot("primitive=suction")
+    """Its camera takes its whole image, with the table around the bin, as people's cameras do."""
+    robot = make_robot("primitive=suction", "robot.video=true")
+    robot.camera = replace(robot.camera, crop=None)
+
+    def look() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        with robot.simulation.hidden(robot.arm.body):
+            return robot.camera.render(robot.simulation)
+
+    robot._look = look
+    return robot
 
 
 @pytest.fixture(scope="module")
