@@ -72,9 +72,10 @@ def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
         yield from more
         for primitive in SOURCES:
             few = f"finetune.attempts={max(2, repeats // 3)}"
-            run, _, module = _prepared(
-                [*overrides, *LARGE, f"primitive={primitive}", few], Path(scratch) / f"large-{primitive}"
-            )
+            for_any = [
+                override for override in overrides if not override.startswith("model")
+            ]  # the others are of the small one
+            run, _, module = _prepared([*for_any, *LARGE, f"primitive={primitive}", few], Path(scratch) / f"large-{primitive}")
             start = process_time()
             _fit(run, module)
             yield measured(f"attempt of the loop, {primitive}, rpn_r50_fpn", (process_time() - start) / run.attempts)

@@ -180,9 +180,9 @@ def test_bounds_away_from_the_middle_move_the_heightmap_and_not_the_world(
 ) -> None:
     whole = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
     x, y, _ = whole.picks[0].position
-    near = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=(x - 0.05, y - 0.02, x + 0.03, y + 0.06))
+    near = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=(x - 0.1, y - 0.06, x + 0.06, y + 0.1))
     np.testing.assert_allclose(near.picks[0].position, whole.picks[0].position, atol=0.003)
-    assert near.heightmap.height.shape == (32, 32)
+    assert near.heightmap.height.shape == (64, 64)
 
 
 def test_what_was_there_before_is_not_picked(image: dict, highest: TrainedModel, robot: SimulatedRobot) -> None:
