@@ -426,7 +426,7 @@ class Run:
             keys["robot"].pop(key, None)
         keys["evaluate"].pop("at")
         keys |= {"network": digest.hexdigest(), "model": _plain(cfg.model, "network"), "rule": policy.name}
-        keys |= {"precision": cfg.precision, "threads": cfg.threads, "versions": versions()}
+        keys |= {"precision": cfg.precision, "threads": cfg.threads, "device": self.device.type, "versions": versions()}
         return content_hash(given_files(keys) | foreign_code(keys))
 
     def _without_failure(self, policy: str) -> dict[TestRun, list[Counts]]:
