@@ -118,9 +118,10 @@ def deciding(overrides: list[str], model: str, repeats: int) -> list[dict[str, A
         rotations, maps = plain.rotations, []
         with torch.no_grad():
             x = plain.network.prepare(torch.from_numpy(color)[None], torch.from_numpy(height)[None])
-            for i in range(rotations.count):
-                maps.append(plain.network(rotations.turned(x, torch.tensor([i]))))
-            back: np.ndarray = rotations.back(torch.cat(maps)).numpy()
+            for i, canvas in enumerate(rotations.canvases):
+                angle = torch.tensor([i])
+                maps.append(rotations.back(plain.network(rotations.turned(x, angle, canvas)), angle))
+            back: np.ndarray = torch.cat(maps).numpy()
         return back
 
     rows = []
@@ -144,10 +145,15 @@ def learning(overrides: list[str], model: str, primitive: str, repeats: int) -> 
     plain, batch = _module(cfg), _batch(cfg)
 
     def whole() -> None:
-        x = plain.network.prepare(batch["color"], batch["height"])
-        logits = plain.network(plain.rotations.turned(x, batch["angle"]))
-        row, col = plain.rotations.locate(batch["angle"], batch["row"], batch["col"])
-        _backward(plain, logits[torch.arange(len(row)), 0, row, col], batch)
+        x, angles = plain.network.prepare(batch["color"], batch["height"]), batch["angle"]
+        rows, cols = plain.rotations.locate(angles, batch["row"], batch["col"])
+        canvases = [plain.rotations.canvases[angle] for angle in angles.tolist()]
+        logits = torch.empty(len(x))
+        for canvas in dict.fromkeys(canvases):
+            some = torch.tensor([i for i, other in enumerate(canvases) if other == canvas])
+            maps = plain.network(plain.rotations.turned(x[some], angles[some], canvas))
+            logits[some] = maps[torch.arange(len(some)), 0, rows[some], cols[some]]
+        _backward(plain, logits, batch)
 
     whole()
     part = copy.deepcopy(plain)

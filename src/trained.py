@@ -58,8 +58,8 @@ class TrainedModel:
 
     def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
         """Logits of success for every angle (a share k / A of half a turn) at every pixel of a heightmap of any size."""
-        rotations = _rotations(height.shape, int(self.config.primitive.angles), self.network.stride).to(self.network.device)
-        return affordances(self.network, rotations, color, height)
+        rotations = _rotations(height.shape, int(self.config.primitive.angles), self.network.stride, self.network.reach)
+        return affordances(self.network, rotations.to(self.network.device), color, height)
 
 
 def save(path: Path, network: PixelNetwork, cfg: DictConfig) -> None:
@@ -142,5 +142,5 @@ def _metadata(path: Path) -> Mapping[str, str]:
 
 
 @lru_cache(maxsize=2)  # hundreds of megabytes each, for a large heightmap with sixteen angles
-def _rotations(shape: tuple[int, int], angles: int, stride: int) -> Rotations:
-    return Rotations(shape, angles, stride)
+def _rotations(shape: tuple[int, int], angles: int, stride: int, reach: int) -> Rotations:
+    return Rotations(shape, angles, stride, reach)

@@ -34,8 +34,11 @@ def turned_logits(
     network: PixelNetwork, rotations: Rotations, color: UInt8[Tensor, "1 H W 3"], height: Float[Tensor, "1 H W"]
 ) -> Float[Tensor, "A H W"]:
     """The same of tensors, on their device."""
-    turned = rotations.all(network.prepare(color, height)).split(network.together)
-    return rotations.back(torch.cat([network(maps) for maps in turned])).float()
+    x = network.prepare(color, height)
+    maps = torch.empty(rotations.count, *rotations.shape, device=x.device)
+    for canvas, angles in rotations.by_canvas(network.together):
+        maps[angles] = rotations.back(network(rotations.turned(x, angles, canvas)), angles).float()
+    return maps
 
 
 class AffordanceModule(L.LightningModule):
@@ -68,7 +71,7 @@ class AffordanceModule(L.LightningModule):
         super().__init__()
         self.network = network
         self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging), use_buffers=True)
-        self.rotations = Rotations(shape, angles, network.stride)
+        self.rotations = Rotations(shape, angles, network.stride, network.reach)
         self._rates = {"backbone": backbone_lr, "head": head_lr}
         self._weight_decay = weight_decay
         self._frozen = batchnorm == "frozen"
@@ -104,15 +107,14 @@ class AffordanceModule(L.LightningModule):
         """Logits at the executed pixels only; all others have zero loss (paper, section III-C).
 
         With frozen statistics the network runs on the window that the pixel depends on, which gives the same
-        numbers. Statistics of the batch depend on every pixel, so there the whole canvas is used.
+        numbers. Statistics of the batch depend on every pixel, so there the largest canvas is used.
         A batch may say how to vary its heightmaps: by how much to turn and shift them about their pixels, which to
         mirror, and how to recolour them.
         """
         color = tinted(batch["color"], batch["tint"]) if "tint" in batch else batch["color"]
         x = self.network.prepare(color, batch["height"])
-        reach = self.network.reach if self._frozen else max(self.rotations.canvas)
         pixel = batch["angle"], batch["row"], batch["col"]
-        x, row, col = self.rotations.window(x, *pixel, reach, batch.get("turn"), batch.get("shift"))
+        x, row, col = self.rotations.window(x, *pixel, batch.get("turn"), batch.get("shift"), whole=not self._frozen)
         if "mirror" in batch:
             x, row, col = _mirrored(x, row, col, batch["mirror"])
         if self._frozen:

@@ -168,8 +168,8 @@ class SimulatedRobot(Robot):
             self._layouts.keep(layout, scene_seed, split, count)
         self.rebuilds.update(layout.refused)
         # From the layout in either case: what settled and what is put back differ in Bullet's memory of contacts.
-        self._build()
-        self.scene.place(layout)
+        self._put(layout, count)
+        self._mount()
         self._noise = generator("sensor", scene_seed)
 
     def _drop(self, scene_seed: int, split: Split, count: int | None) -> Layout:
@@ -179,13 +179,21 @@ class SimulatedRobot(Robot):
             self.simulation.clear()
             self.scene.build()
             why = self.scene.drop(generator("scene", scene_seed, len(refused)), split, count)
+            layout = self.scene.layout(tuple(refused))
+            why = why or self._put(layout, count)
             if why is None:
-                return self.scene.layout(tuple(refused))
+                return layout
             refused.append(why)
         raise RobotError(
             f"scene {scene_seed} was dropped {REBUILDS} times and is still {refused[-1]}: "
             "raise robot.bin.settle_steps (restless), robot.bin.margin (spilled, scattered) or lower robot.bin.touching"
         )
+
+    def _put(self, layout: Layout, count: int | None) -> Refusal | None:
+        """A scene from its layout, at rest; why it is no good after all, if it is not. Without the arm, as in :meth:`_drop`."""
+        self.simulation.clear()
+        self.scene.build()
+        return self.scene.place(layout, count)
 
     def background(self) -> Heightmap:
         """As promised by :class:`Robot`, seen once and without noise."""
@@ -267,10 +275,14 @@ class SimulatedRobot(Robot):
         return film(self.simulation, path)
 
     def _build(self) -> None:
+        """The empty bin and the arm."""
         self.simulation.clear()
+        self.scene.build()
+        self._mount()
+
+    def _mount(self) -> None:
         self.arm.load()
         self.tool.bind(self.simulation, self.arm)
-        self.scene.build()
 
     def _look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the camera sees of the bin; not the arm, which a real set-up takes out of the way, nor the table."""

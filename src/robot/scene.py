@@ -116,6 +116,9 @@ class Scene:
         self.settle(self._config.settle_steps)
         for guide in guides:
             client.removeBody(guide)
+        return self._come_to_rest(count)
+
+    def _come_to_rest(self, count: int | None) -> Refusal | None:
         if not self.settle(self._config.settle_steps, STILL_CHECKS_AT_FIRST):
             return "restless"
         if not all(self._inside(body) for body in self.bodies):
@@ -128,11 +131,18 @@ class Scene:
         at = self._simulation.client.getBasePositionAndOrientation
         return Layout(tuple(Placed(body.name, body.scale, body.color, *at(body.id)) for body in self.bodies), refused)
 
-    def place(self, layout: Layout) -> None:
-        """Put the objects of a layout into the empty bin, asleep."""
+    def place(self, layout: Layout, count: int | None = None) -> Refusal | None:
+        """Put the objects of a layout, all or ``count``, into the empty bin and wait until they lie still.
+
+        They lay still where they were, but Bullet forgot how they bore on each other: asleep at once, they would move by
+        half a millimetre, and now and then topple, when something touched them.
+
+        Returns:
+            As of :meth:`drop`.
+        """
         for placed in layout.objects:
             self._add(placed.name, placed.scale, placed.position, np.array(placed.rotation), placed.color)
-        self._sleep()
+        return self._come_to_rest(count)
 
     def settle(self, steps: int | None = None, checks: int = STILL_CHECKS) -> bool:
         """Step until every object lies still, at most ``steps`` times; whether they do.

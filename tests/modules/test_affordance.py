@@ -67,9 +67,13 @@ def test_window_gives_the_gradient_of_the_whole_heightmap(angles: int) -> None:
     module.training_step(batch, 0).backward()
     window = {k: p.grad.clone() for k, p in module.network.named_parameters()}
     module.zero_grad()
-    x = module.rotations.turned(module.network.prepare(batch["color"], batch["height"]), batch["angle"])
-    rows, cols = module.rotations.locate(batch["angle"], batch["row"], batch["col"])
-    logits = module.network(x)[torch.arange(6), 0, rows, cols]
+    x, turns = module.network.prepare(batch["color"], batch["height"]), module.rotations
+    rows, cols = turns.locate(batch["angle"], batch["row"], batch["col"])
+    logits = []
+    for i, angle in enumerate(batch["angle"]):
+        whole = turns.turned(x[i : i + 1], angle[None], turns.canvases[angle])
+        logits.append(module.network(whole)[0, 0, rows[i], cols[i]])
+    logits = torch.stack(logits)
     torch.nn.functional.binary_cross_entropy_with_logits(logits, batch["label"]).backward()
     for key, parameter in module.network.named_parameters():
         scale = parameter.grad.abs().max()

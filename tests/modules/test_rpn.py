@@ -192,7 +192,7 @@ def test_smaller_backbones_have_the_same_interface(name: str) -> None:
     network = RPN(name).eval()
     assert network(torch.randn(2, 4, 144, 160)).shape == (2, 1, 144, 160)
     module = AffordanceModule(network, (144, 144), 16, 1e-4, 1e-4, 0.0, "frozen", 0.9)
-    assert module.rotations.canvas == (224, 224)
+    assert module.rotations.canvases == 16 * [(224, 224)]
 
 
 def test_the_depth_can_be_learned_and_left_out() -> None:

@@ -10,6 +10,7 @@ import pytest
 from see2act import build
 from see2act.files import DamagedFile
 from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulation import TIMESTEP
 
 
 def _played(robot: SimulatedRobot, seed: int = 11) -> tuple:
@@ -52,3 +53,16 @@ def test_a_damaged_file_is_named(make_robot: Callable[..., SimulatedRobot], tmp_
     kept.write_text(kept.read_text()[:-20])
     with pytest.raises(DamagedFile, match=f"{kept} is damaged.*delete it"):
         robot.reset(11, "seen", 1)
+
+
+def test_what_is_put_back_lies_still_when_it_is_woken(make_robot: Callable[..., SimulatedRobot], tmp_path: Path) -> None:
+    """Contacts are not kept; without them objects sink and topple once something touches them."""
+    robot = make_robot(f"robot.layouts={tmp_path}")
+    for scene in (1, 2, 3, 4):
+        robot.reset(scene, "seen")
+        before = np.array(list(robot.scene.positions().values()))
+        robot.scene.wake()
+        for _ in range(12):
+            robot.simulation.step()
+        moved = np.linalg.norm(np.array(list(robot.scene.positions().values())) - before, axis=1)
+        assert moved.max() < 0.01 * 12 * TIMESTEP  # 1 cm/s
