@@ -267,10 +267,15 @@ def config_hash(cfg: DictConfig) -> str:
         value = cfg[key]
         resolved[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
     resolved["collect"].pop("workers")
-    for key in LOCAL_ROBOT:
-        resolved["robot"].pop(key, None)
+    resolved["robot"] = relevant_robot(cfg)
     resolved["trainer"] = relevant_trainer(cfg)
     return content_hash(given_files(resolved) | foreign_code(resolved))
+
+
+def relevant_robot(cfg: DictConfig) -> dict[str, Any]:
+    """The robot's keys that can change a result."""
+    robot: dict[str, Any] = OmegaConf.to_container(cfg.robot, resolve=True)  # type: ignore[assignment]
+    return {key: value for key, value in robot.items() if key not in LOCAL_ROBOT}
 
 
 def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from see2act import attempts_csv, build, figures, trained
 from see2act.attempt import Attempt
 from see2act.attempts_csv import AttemptsCsv
 from see2act.cache import code_hash, foreign_code, given_files, once
-from see2act.config import CHOICES, LOCAL_ROBOT, ConfigError, config_hash, content_hash, relevant_trainer
+from see2act.config import CHOICES, ConfigError, config_hash, content_hash, relevant_robot, relevant_trainer
 from see2act.dashboard import Dashboard
 from see2act.datamodules.collect import Collection, collect
 from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
@@ -421,9 +421,8 @@ class Run:
         cfg, digest = self.cfg, hashlib.sha256()
         for name, value in sorted(module.acting.state_dict().items()):
             digest.update(name.encode() + value.cpu().contiguous().numpy().tobytes())
-        keys = _plain(cfg, "robot", "workspace", "camera", "objects", "primitive", "evaluate", "policy")
-        for key in LOCAL_ROBOT:
-            keys["robot"].pop(key, None)
+        keys = _plain(cfg, "workspace", "camera", "objects", "primitive", "evaluate", "policy")
+        keys["robot"] = relevant_robot(cfg)
         keys["evaluate"].pop("at")
         keys |= {"network": digest.hexdigest(), "model": _plain(cfg.model, "network"), "rule": policy.name}
         keys |= {"precision": cfg.precision, "threads": cfg.threads, "device": self.device.type, "versions": versions()}
@@ -511,9 +510,7 @@ class Run:
         return Collection.load(path)
 
     def _collection_key(self, interactions: int, per_scene: int, seed: int) -> str:
-        keys = _plain(self.cfg, "robot", "workspace", "camera", "objects")
-        for key in LOCAL_ROBOT:
-            keys["robot"].pop(key, None)
+        keys = {**_plain(self.cfg, "workspace", "camera", "objects"), "robot": relevant_robot(self.cfg)}
         keys["collect"] = {"interactions": interactions, "per_scene": per_scene, "seed": seed}
         keys["collect"]["primitive"] = _plain(self.cfg.collect.primitive, "end_effector")
         keys["code"] = code_hash("robot", "datamodules/collect.py", "seeding.py", "build.py")

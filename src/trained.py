@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from safetensors.torch import save as serialized
-from see2act.config import LOCAL_ROBOT, config_hash
+from see2act.config import config_hash, relevant_robot
 from see2act.files import replacing
 from see2act.modules.affordance import affordances
 from see2act.modules.network import PixelNetwork
@@ -67,7 +67,7 @@ def save(path: Path, network: PixelNetwork, cfg: DictConfig) -> None:
     config = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in ("hydra", "logger")])
     plain: Any = OmegaConf.to_container(config, resolve=True)
     plain = {key: value for key, value in plain.items() if key not in WITHOUT}
-    plain["robot"] = {key: value for key, value in plain["robot"].items() if key not in LOCAL_ROBOT}
+    plain["robot"] = relevant_robot(cfg)
     metadata = {CONFIG: json.dumps(plain), HASH: config_hash(cfg)}
     state = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
     with replacing(path) as partial:
