@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 from statistics import median
+from threading import Thread
 from time import process_time
 from typing import Any
 
@@ -53,8 +56,24 @@ def at_least_one(text: str) -> int:
 
 def spread(function: Callable[..., Any], jobs: Sequence[tuple], workers: int, title: str) -> Iterator[Any]:
     """Results of ``function(*job)`` for each job, in order, from processes of their own."""
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with pool_of(workers) as pool:
         yield from tqdm(pool.map(function, *zip(*jobs, strict=True)), total=len(jobs), desc=title)
+
+
+def pool_of(workers: int) -> ProcessPoolExecutor:
+    """Processes that end when this one does, however it ends."""
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def show(title: str, rows: list[dict[str, Any]]) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any
@@ -19,7 +18,7 @@ from see2act import build
 from see2act.config import composed
 from see2act.seeding import generator, seed_for
 
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, pool_of
 
 PICKS = 5
 """In each scene, on random pixels of objects."""
@@ -51,9 +50,9 @@ def play(overrides: list[str], primitive: str, scenes: list[int]) -> dict[int, l
 def compare(overrides: list[str], primitive: str, scenes: int) -> dict[str, Any]:
     """Play in two processes and count the picks that agree in every bit."""
     order = list(range(scenes))
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    with pool_of(1) as pool:
         alone = pool.submit(play, overrides, primitive, order).result()
-    with _every_core_busy(), ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    with _every_core_busy(), pool_of(1) as pool:
         crowded = pool.submit(play, overrides, primitive, order[::-1]).result()
     same = sum(a == b for scene in order for a, b in zip(alone[scene], crowded[scene], strict=True))
     successes = sum("success=True" in line for lines in alone.values() for line in lines)
