@@ -8,6 +8,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
 PRECISIONS = ("fp32", "bf16")
+DEPTHS = ("early", "none")
+"""How the depth may enter networks that others trained on RGB: at the first convolution, or not at all."""
 TOGETHER = {"fp32": 2, "bf16": 4}
 """Heightmaps that go through a network at once on a processor: more of them no longer fit its cache."""
 

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 import torchvision
 from jaxtyping import Float, Int
 from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import Logits, PixelNetwork, crop
+from see2act.modules.network import DEPTHS, Logits, PixelNetwork, crop
 from torch import Tensor, nn
 from torchvision.models.detection.backbone_utils import BackboneWithFPN
 from torchvision.models.detection.rpn import RPNHead
@@ -19,7 +19,6 @@ STRIDE = 4
 """Of P2, the pyramid's finest level."""
 REACH = 3
 """Features of P2, to each side, that a logit depends on after the pyramid: two convolutions, and an enlargement."""
-DEPTHS = ("early", "none")
 COARSEST = 32
 """Stride of the coarsest feature map."""
 

@@ -119,9 +119,8 @@ class Scene:
         return self._come_to_rest(count)
 
     def _come_to_rest(self, count: int | None) -> Refusal | None:
-        with self._simulation.fine():
-            if not self.settle(self._config.settle_steps, STILL_CHECKS_AT_FIRST):
-                return "restless"
+        if not self.settle(self._config.settle_steps, STILL_CHECKS_AT_FIRST):
+            return "restless"
         if not all(self._inside(body) for body in self.bodies):
             return "spilled"
         scattered = count is None and len(self.bodies) > 1 and self.touching() < self._config.touching

@@ -1,0 +1,135 @@
+"""NanoDet-g's COCO weights, from upstream's checkpoints and from TensorFlow.js, in the keys of our network."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from see2act.modules import weights
+from see2act.modules.nanodet import CLASSES, NanoDet
+from see2act.modules.transfer import TransferError
+from torch import Tensor
+
+FILE = Path("weights", "nanodet_g_coco.safetensors")
+"""In the cache, where ``make coco`` puts it."""
+BGR_MEAN, BGR_STD = (103.53, 116.28, 123.675), (57.375, 57.12, 58.395)
+"""Of its training images, 0..255: those of ImageNet, of the channels in OpenCV's order."""
+UPSTREAM_EPSILON = 1e-5
+PREFIXES = ("avg_model.", "model.", "module.", "")
+"""Of the keys of a checkpoint: averaged weights, which upstream evaluates, first."""
+RENAMED = (
+    (re.compile(r"^fpn\.lateral_convs\.(\d)\.conv\."), r"backbone.laterals.\1."),
+    (re.compile(r"^head\.cls_convs\.0\.0\."), "head.conv."),
+    (re.compile(r"^head\.gfl_cls\.0\."), "head.logits."),
+)
+"""Upstream's keys of what we have, the backbone aside, which has the same; of the three levels the first has stride 8."""
+
+
+@dataclass(frozen=True)
+class NanoDetWeights:
+    """Where NanoDet-g's weights come from: a file that is given, or what ``make coco`` left in the cache."""
+
+    def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
+        """State dict of a :class:`NanoDet` without its depth; statistics of the input are of RGB alone, (3,).
+
+        Args:
+            file: Upstream's checkpoint, or one in our keys.
+            cache: Of the project.
+
+        Raises:
+            TransferError: The file cannot be read, or holds another network.
+            NotDownloaded: None was given, and ``make coco`` was never typed.
+        """
+        path = Path(file) if file else cache / FILE
+        if not file and not path.exists():
+            raise weights.NotDownloaded(
+                f"{path} is not here: get NanoDet-g's COCO weights with make coco, or name upstream's checkpoint with "
+                "task.weights=FILE"
+            )
+        state = weights.read(path)
+        return state if "normalization.mean" in state else from_upstream(state)
+
+
+def from_upstream(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """From a checkpoint of github.com/RangiLyu/nanodet: BatchNorm stays BatchNorm, box and other levels' scores go.
+
+    Raises:
+        TransferError: It is another network.
+    """
+    prefix = next(p for p in PREFIXES if any(key.startswith(f"{p}backbone.") for key in state) or not p)
+    ours: dict[str, Tensor] = {}
+    for key, value in state.items():
+        name = key.removeprefix(prefix)
+        for pattern, new in RENAMED:
+            name = pattern.sub(new, name)
+        ours[name] = value.float() if value.is_floating_point() else value
+        if name.endswith("running_mean"):
+            ours[name.replace("running_mean", "epsilon")] = torch.tensor(UPSTREAM_EPSILON)
+            ours.setdefault(name.replace("running_mean", "num_batches_tracked"), torch.tensor(0))
+    return _checked(ours)
+
+
+def from_tfjs(graph: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
+    """From the weights of its TensorFlow.js graph, in which each BatchNorm is folded into the convolution before it.
+
+    So here a BatchNorm does no more than add the bias.
+
+    Args:
+        graph: Weights by name, as :func:`see2act.modules.tfjs.read` gives them.
+
+    Raises:
+        TransferError: It is another network.
+    """
+    state: dict[str, Tensor] = {}
+    for n, name in enumerate(_convolutions()):
+        # Before the biases of the heads the graph numbers two constants more.
+        kernel, bias = f"PartitionedCall/split{f'_{n}' if n else ''}", f"unknown_{2 * n + 4 * name.startswith('head.')}"
+        if kernel not in graph or bias not in graph or graph[kernel].ndim != 4:
+            raise TransferError(f"the graph has no {kernel} or no {bias}: bring NanoDet-g's, no other NanoDet fits")
+        state[f"{name}.weight"] = torch.from_numpy(graph[kernel]).permute(3, 2, 0, 1).contiguous()
+        added = torch.from_numpy(graph[bias].copy())
+        if not name.endswith(".conv"):
+            state[f"{name}.bias"] = added
+            continue
+        norm = name.removesuffix("conv") + "bn"
+        state |= {f"{norm}.{key}": torch.ones_like(added) for key in ("weight", "running_var")}
+        state |= {f"{norm}.bias": added, f"{norm}.running_mean": torch.zeros_like(added)}
+        state |= {f"{norm}.num_batches_tracked": torch.tensor(0), f"{norm}.epsilon": torch.tensor(0.0)}
+    return _checked(state)
+
+
+def _convolutions() -> list[str]:
+    """Names of all convolutions in the order in which the graph has them."""
+    return [key.removesuffix(".weight") for key, value in _expected().items() if value.ndim == 4]
+
+
+def _expected() -> dict[str, Tensor]:
+    with torch.device("meta"):
+        return NanoDet(depth="none").state_dict()
+
+
+def _checked(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """What a network of ours needs of a state in its keys, which takes BGR and also has scores of boxes."""
+    expected = _expected()
+    for part in ("weight", "bias"):
+        if (name := f"head.logits.{part}") in state:
+            state[name] = state[name][:CLASSES].contiguous()
+    ours = {name: state[name] for name in expected if name in state and not name.startswith("normalization.")}
+    for name, value in expected.items():
+        if name.startswith("normalization."):
+            continue
+        if name not in ours:
+            raise TransferError(f"the weights have no {name}: bring NanoDet-g's, no other NanoDet fits")
+        if ours[name].shape != value.shape:
+            raise TransferError(
+                f"{name} is {list(ours[name].shape)} there and {list(value.shape)} here: bring NanoDet-g's, no other fits"
+            )
+    first = "backbone.stages.0.conv.weight"
+    ours[first] = ours[first].flip(1).contiguous()
+    for name, values in (("mean", BGR_MEAN), ("std", BGR_STD)):
+        ours[f"normalization.{name}"] = torch.tensor(values[::-1]) / 255
+    return ours
