@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install train demo test smoke check bench gpu-check format clean
+.PHONY: install train demo coco test smoke check bench gpu-check format clean
 
 install: .venv/installed
 
@@ -19,6 +19,9 @@ train: install  ## make train ARGS="task=normal transfer=full primitive=suction 
 
 demo: install  ## a trained robot clears a bin: make demo ARGS="primitive=grasp objects=random_urdfs seed=5"
 	$(BIN)/python demo.py $(ARGS)
+
+coco: install  ## real COCO weights for model=nanodet_g task=coco, by npm
+	$(BIN)/python -m see2act.coco $(ARGS)
 
 test: check
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope $(ARGS)

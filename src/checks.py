@@ -77,8 +77,9 @@ def illegal_cell(cfg: DictConfig) -> str | None:
         return (
             f"transfer=none ignores task={task}: use task=none transfer=none for the baseline, or transfer=backbone|full|fixed"
         )
-    if cfg.task.model and cfg.model.name != cfg.task.model:
-        return f"task={task} has weights for model={cfg.task.model} alone, not for {cfg.model.name}: add model={cfg.task.model}"
+    if cfg.task.off_the_shelf and cfg.model.name not in cfg.task.off_the_shelf:
+        fitting = " or ".join(f"model={name}" for name in cfg.task.off_the_shelf)
+        return f"task={task} has no weights for model={cfg.model.name}: add {fitting}"
     missing = [part for part in cfg.transfer.parts if part not in cfg.task.parts]
     if missing:
         return f"task={task} has no {' or '.join(missing)}, so transfer={transfer} is impossible: use transfer=backbone"

@@ -48,13 +48,11 @@ class TaskConfig:
     weights: str | None = None
     """A file to take instead of pre-training or downloading: a vision checkpoint, or torchvision's weights."""
     off_the_shelf: dict[str, Any] | None = None
-    """``_target_`` and arguments of a :class:`see2act.modules.weights.OffTheShelf`; null for tasks learned here."""
+    """By model ``_target_`` and arguments of a :class:`see2act.modules.weights.OffTheShelf`; null for tasks learned here."""
     optional: list[str] = field(default_factory=list)
     """Beginnings of keys that off-the-shelf weights lack; they start at their initialisation."""
     zero: list[str] = field(default_factory=list)
     """The same; they start at zero."""
-    model: str | None = None
-    """The only model that off-the-shelf weights fit."""
     class_weight: str = "none"
     """``none``, or ``balanced`` to weigh positive pixels by the inverse of their share."""
 

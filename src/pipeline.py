@@ -226,7 +226,7 @@ class Run:
     def _given(self, mean: Tensor, std: Tensor) -> dict[str, Tensor]:
         """State of a vision model from elsewhere.
 
-        What torchvision's lack, statistics of the height, is taken from ours (``mean``, ``std``: (4,)).
+        What off-the-shelf weights lack, statistics of the height, is taken from ours (``mean``, ``std``: (4,)).
 
         Raises:
             TransferError: It cannot be read, is of another task, or is no vision model.
@@ -238,8 +238,8 @@ class Run:
             raise TransferError(f"{task.weights} learned {known}, not {task.name}: type task={known}, or give another file")
         if not task.off_the_shelf:
             return weights.read(Path(task.weights))
-        source: weights.OffTheShelf = instantiate(task.off_the_shelf)
-        state = source.read(task.weights)
+        source: weights.OffTheShelf = instantiate(task.off_the_shelf[self.cfg.model.name])
+        state = source.read(task.weights, self.cache)
         for name, ours in (("normalization.mean", mean), ("normalization.std", std)):
             state[name] = torch.cat([state[name][:3], state[name][3:] if len(state[name]) == 4 else ours[3:]])
         return state

@@ -51,7 +51,9 @@ def test_exactly_the_sensible_cells_are_legal(config: Callable, task: str, trans
         ("coco", "backbone", "rpn_r50_fpn", None),
         ("coco", "full", "rpn_r50_fpn", None),
         ("coco", "fixed", "rpn_r50_fpn", None),
-        ("coco", "full", "fcn7", "add model=rpn_r50_fpn"),
+        ("coco", "full", "fcn7", "add model=rpn_r50_fpn or model=nanodet_g"),
+        ("coco", "full", "nanodet_g", None),
+        ("imagenet", "backbone", "nanodet_g", "add model=rpn_r50_fpn"),
     ],
 )
 def test_off_the_shelf_weights_fit_one_network(

@@ -34,15 +34,11 @@ class NanoDetWeights:
     """Where NanoDet-g's weights come from: a file that is given, or what ``make coco`` left in the cache."""
 
     def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
-        """State dict of a :class:`NanoDet` without its depth; statistics of the input are of RGB alone, (3,).
+        """As of :class:`see2act.modules.weights.OffTheShelf`: a :class:`NanoDet` without its depth.
 
         Args:
             file: Upstream's checkpoint, or one in our keys.
             cache: Of the project.
-
-        Raises:
-            TransferError: The file cannot be read, or holds another network.
-            NotDownloaded: None was given, and ``make coco`` was never typed.
         """
         path = Path(file) if file else cache / FILE
         if not file and not path.exists():

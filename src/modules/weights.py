@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 import torchvision
@@ -25,8 +25,26 @@ class NotDownloaded(TransferError):
     """Weights that are neither on this machine nor within its reach."""
 
 
+class OffTheShelf(Protocol):
+    """Weights that others trained."""
+
+    def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
+        """State dict in the keys of networks here, from ``file`` or from where such weights are kept.
+
+        Statistics of the input are of RGB alone, (3,), if the file has none of the height; those are the caller's.
+
+        Args:
+            file: That the user named.
+            cache: Of the project.
+
+        Raises:
+            TransferError: The file cannot be read, or holds another network.
+            NotDownloaded: None was named, and none is on this machine or can be got.
+        """
+
+
 @dataclass(frozen=True)
-class OffTheShelf:
+class Torchvision:
     """torchvision's weights, and what they need beside themselves.
 
     Args:
@@ -40,15 +58,8 @@ class OffTheShelf:
     std: Sequence[float]
     epsilon: float
 
-    def read(self, file: str | None) -> dict[str, Tensor]:
-        """State dict in the keys of networks here, from ``file`` or else from torchvision's cache or the network.
-
-        Statistics of the input are of RGB alone, (3,); those of the height are the caller's.
-
-        Raises:
-            TransferError: The file cannot be read.
-            NotDownloaded: There is neither file nor network.
-        """
+    def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
+        """As of :class:`OffTheShelf`: from ``file``, or else from torchvision's cache or the network."""
         state = to_our_keys(read(Path(file)) if file else self._download())
         if "normalization.mean" in state:
             return state  # a checkpoint of this project, which has all of it

@@ -40,7 +40,7 @@ SOLVER_ITERATIONS = 160
 and 1.1 mm with 160 (300 picks)."""
 RESIDUAL = 1e-5
 """Bullet's solver stops iterating once the largest error of velocity of any constraint is below this; its default is 1e-7. At
-1e-4, a third faster, what lies still creeps: the fastest object of a woken bin by 1.5 mm/s instead of 0.3 (means of 40 bins)."""
+1e-4, a third faster, what lies still creeps: the fastest object of a bin by 1.5 mm/s instead of 0.3 (means of 40 bins)."""
 RAYS_AT_ONCE = 8192
 """In one batch; Bullet drops rays silently near its limit of 16384."""
 

@@ -16,7 +16,7 @@ from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.rpn import RPN, enlarged
 from see2act.modules.transfer import TransferError, copy_parts
-from see2act.modules.weights import OffTheShelf, read, to_our_keys
+from see2act.modules.weights import Torchvision, read, to_our_keys
 from torch import Tensor
 from torchvision.models import resnet18, resnet50
 from torchvision.models.detection import FasterRCNN, fasterrcnn_resnet50_fpn
@@ -25,8 +25,8 @@ from torchvision.models.detection.backbone_utils import _resnet_fpn_extractor
 from torchvision.ops import FrozenBatchNorm2d
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
-SHELF = {"coco": OffTheShelf("fasterrcnn_resnet50_fpn.COCO_V1", MEAN, STD, 0.0)}
-SHELF["imagenet"] = OffTheShelf("resnet50.IMAGENET1K_V1", MEAN, STD, 1e-5)
+SHELF = {"coco": Torchvision("fasterrcnn_resnet50_fpn.COCO_V1", MEAN, STD, 0.0)}
+SHELF["imagenet"] = Torchvision("resnet50.IMAGENET1K_V1", MEAN, STD, 1e-5)
 ZERO = ["backbone.depth"]
 
 
@@ -73,7 +73,7 @@ def test_rgbd_input_gives_the_detector_s_objectness_on_rgb(
 ) -> None:
     state = layout(detector.state_dict())
     assert ("rpn.head.conv.weight" in state) == (layout is _old)
-    source = _with_height(SHELF["coco"].read(str(save(state, tmp_path))))
+    source = _with_height(SHELF["coco"].read(str(save(state, tmp_path)), tmp_path))
     network = RPN().eval()
     report = copy_parts(source, network, ["backbone", "head"], zero=ZERO)
     # In double precision: how much of single precision fifty layers lose depends on the processor.
@@ -100,7 +100,12 @@ def test_it_equals_the_detector_that_torchvision_builds_untrained(tmp_path: Path
     model = fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None).eval()
     shelf = replace(SHELF["coco"], epsilon=1e-5)
     network = RPN().eval()
-    copy_parts(_with_height(shelf.read(str(_save_pth(model.state_dict(), tmp_path)))), network, ["backbone", "head"], zero=ZERO)
+    copy_parts(
+        _with_height(shelf.read(str(_save_pth(model.state_dict(), tmp_path)), tmp_path)),
+        network,
+        ["backbone", "head"],
+        zero=ZERO,
+    )
     color = torch.randint(0, 256, (1, 128, 128, 3), dtype=torch.uint8)
     image = model.transform.normalize(color[0].permute(2, 0, 1).float() / 255)[None]
     with torch.no_grad():
@@ -112,7 +117,7 @@ def test_it_equals_the_detector_that_torchvision_builds_untrained(tmp_path: Path
 def test_a_classifier_gives_the_body_alone(tmp_path: Path) -> None:
     torch.manual_seed(1)
     classifier = resnet50(weights=None).eval()
-    source = _with_height(SHELF["imagenet"].read(str(_save_pth(classifier.state_dict(), tmp_path))))
+    source = _with_height(SHELF["imagenet"].read(str(_save_pth(classifier.state_dict(), tmp_path)), tmp_path))
     network = RPN().eval()
     before = {key: value.clone() for key, value in network.state_dict().items()}
     report = copy_parts(source, network, ["backbone"], ["backbone.fpn"], ZERO)
@@ -130,13 +135,13 @@ def test_a_classifier_gives_the_body_alone(tmp_path: Path) -> None:
 
 
 def test_a_backbone_by_itself_is_recognised(detector: FasterRCNN, tmp_path: Path) -> None:
-    source = SHELF["coco"].read(str(_save_pth(detector.backbone.state_dict(), tmp_path)))
+    source = SHELF["coco"].read(str(_save_pth(detector.backbone.state_dict(), tmp_path)), tmp_path)
     report = copy_parts(_with_height(source), RPN(), ["backbone"], zero=ZERO)
     assert len(report.copied) > 300
 
 
 def test_epsilon_travels_with_the_weights(detector: FasterRCNN, tmp_path: Path) -> None:
-    source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path))))
+    source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path)), tmp_path))
     first, second = RPN().eval(), RPN().eval()
     copy_parts(source, first, ["backbone", "head"], zero=ZERO)
     copy_parts(first.state_dict(), second, ["backbone", "head"])
@@ -228,10 +233,10 @@ def test_files_that_cannot_be_trusted_are_refused(tmp_path: Path, monkeypatch: p
 
 
 def test_another_architecture_and_another_anchor_count_are_refused(detector: FasterRCNN, tmp_path: Path) -> None:
-    small = _with_height(SHELF["imagenet"].read(str(_save_pth(resnet18(weights=None).state_dict(), tmp_path))))
+    small = _with_height(SHELF["imagenet"].read(str(_save_pth(resnet18(weights=None).state_dict(), tmp_path)), tmp_path))
     with pytest.raises(TransferError, match=r"backbone\.body\.layer1\.0\.conv3\.weight is missing.* more"):
         copy_parts(small, RPN(), ["backbone"], ["backbone.fpn"], ZERO)
-    source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path))))
+    source = _with_height(SHELF["coco"].read(str(_save_pth(detector.state_dict(), tmp_path)), tmp_path))
     with pytest.raises(TransferError, match=r"head\.cls_logits\.weight is \[3, 256, 1, 1\] there and \[5, 256, 1, 1\]"):
         copy_parts(source, RPN(anchors=5), ["backbone", "head"], zero=ZERO)
     with pytest.raises(TransferError, match="nothing of it is called backbone"):
@@ -240,13 +245,13 @@ def test_another_architecture_and_another_anchor_count_are_refused(detector: Fas
         )
 
 
-def test_without_a_network_the_mend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_network_the_mend_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def offline(*_: object, **__: object) -> None:
         raise OSError("no route to host")
 
     monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", offline)
     with pytest.raises(TransferError, match=r"bring fasterrcnn_resnet50_fpn_coco-258fb6c6\.pth .* task\.weights=FILE"):
-        SHELF["coco"].read(None)
+        SHELF["coco"].read(None, tmp_path)
 
 
 def test_keys_of_this_project_stay_as_they_are() -> None:

@@ -109,7 +109,9 @@ def test_robot_minutes_add_up_and_failures_are_shares(make_run: MakeRun, tmp_pat
 
 def test_the_file_names_of_weights_are_torchvision_s(config: Callable[..., DictConfig]) -> None:
     for task, file in paper.OFF_THE_SHELF.items():
-        model, member = config(f"task={task}", "transfer=backbone", "model=rpn_r50_fpn").task.off_the_shelf.weights.split(".")
+        model, member = config(
+            f"task={task}", "transfer=backbone", "model=rpn_r50_fpn"
+        ).task.off_the_shelf.rpn_r50_fpn.weights.split(".")
         assert torchvision.models.get_model_weights(model)[member].url.endswith(f"/{file}")
 
 
