@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 from see2act import attempts_csv
 from see2act.attempts_csv import AttemptsCsv
 from see2act.config import ConfigError, composed
@@ -24,6 +24,8 @@ from see2act.datamodules.collect import Collection
 from see2act.evaluation import Counts
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
+from see2act.modules.nanodet import NanoDet
+from see2act.modules.nanodet_weights import FILE as NANODET
 from see2act.pipeline import Run
 from see2act.robot.types import Heightmap
 from torchvision.models.detection import fasterrcnn_resnet50_fpn
@@ -65,7 +67,7 @@ def _command(folder: Path, cache: Path, *overrides: str) -> list[str]:
 
 
 def _width(overrides: tuple[str, ...]) -> tuple[str, ...]:
-    return () if "model=rpn_r50_fpn" in overrides else ("model.width=4",)
+    return () if {"model=rpn_r50_fpn", "model=nanodet_g"} & {*overrides} else ("model.width=4",)
 
 
 def _train(folder: Path, cache: Path, *overrides: str) -> str:
@@ -387,6 +389,19 @@ def test_off_the_shelf_weights_from_a_file(tmp_path: Path, cache: Path) -> None:
     assert (folder / "result.json").exists()
 
 
+def test_nanodet_acts_and_learns_from_the_cache_s_weights(tmp_path: Path, cache: Path) -> None:
+    torch.manual_seed(0)
+    (cache / NANODET).parent.mkdir(exist_ok=True)
+    save_file(NanoDet(depth="none").state_dict(), cache / NANODET)
+    few = ("finetune.attempts=1", "evaluate.attempts.seen=1", "evaluate.attempts.unseen=1")
+    _train(tmp_path / "coco", cache, "logger=none", "model=nanodet_g", "task=coco", "transfer=full", "primitive=suction", *few)
+    report = json.loads((tmp_path / "coco" / "transfer.json").read_text())
+    assert list(report["set_to_zero"]) == ["backbone.depth.weight"]
+    assert not report["left_at_initialisation"]
+    assert report["copied"]["head.logits.weight"] == [80, 128, 1, 1]
+    assert (tmp_path / "coco" / "figures" / "heatmaps.png").exists()
+
+
 def test_the_rpn_learns_to_see_and_to_act(tmp_path: Path, cache: Path) -> None:
     rpn = ("model=rpn_r50_fpn", "model.backbone=resnet18", "task=foreground", "primitive=grasp")
     few = ("finetune.attempts=1", "evaluate.attempts.seen=1", "evaluate.attempts.unseen=1")
@@ -403,7 +418,7 @@ def test_heatmaps_of_several_models_side_by_side(run: tuple[Path, str], cache: P
     done = subprocess.run([*draw, *tiny, *tasks], capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
     assert (tmp_path / "figure" / "heatmaps.png").stat().st_size > 10_000
-    assert "left out: imagenet: task=imagenet has weights for model=rpn_r50_fpn alone" in done.stdout
+    assert "left out: imagenet: task=imagenet has no weights for model=fcn7" in done.stdout
     wider = [*tiny, "model.width=8"]
     done = subprocess.run([*draw, *tasks, *wider], capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 1
