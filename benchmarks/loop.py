@@ -72,9 +72,8 @@ def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
         yield from more
         for primitive in SOURCES:
             few = f"finetune.attempts={max(2, repeats // 3)}"
-            for_any = [
-                override for override in overrides if not override.startswith("model")
-            ]  # the others are of the small one
+            # What was typed of the model is of the small one.
+            for_any = [override for override in overrides if not override.startswith("model")]
             run, _, module = _prepared([*for_any, *LARGE, f"primitive={primitive}", few], Path(scratch) / f"large-{primitive}")
             start = process_time()
             _fit(run, module)

