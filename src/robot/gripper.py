@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections import deque
 
 import numpy as np
 from see2act.robot import urdf
@@ -28,10 +29,10 @@ PAD_AT_KNUCKLE = 0.005
 PAD_HALF_HEIGHT = 0.01875
 PAD_CENTRE = 0.130
 """Metres from ``tool0`` to the middle between the open pads (measured on the loaded model)."""
-MOVING = 0.02
-"""rad/s of the driver joint, above which the fingers are on their way."""
 STILL_STEPS = 12
-"""Timesteps in a row that they must not move to be at rest."""
+STILL = 0.001
+"""Radians in which the driver joint stays for ``STILL_STEPS`` when the fingers are at rest: 0.02 rad/s. Its speed at an instant
+does not tell: fingers that squeeze something tremble at up to 0.05 rad/s, and go nowhere."""
 FLOOR_GAP = 0.002
 """Metres that stay between the closing pads and the floor."""
 
@@ -92,7 +93,7 @@ class Gripper(EndEffector):
             client.changeDynamics(
                 arm.body, arm.link_index[name], lateralFriction=self._friction, spinningFriction=0.005, frictionAnchor=1
             )
-        self._still = 0
+        self._recent: deque[float] = deque(maxlen=STILL_STEPS + 1)
         self._drive(0.0)
 
     def length(self) -> float:
@@ -115,13 +116,13 @@ class Gripper(EndEffector):
             return  # open since it let go
         seconds = self._arm.seconds
         self._drive(0.0)
-        self._still = 0
+        self._recent.clear()
         self._wait_until_still()
         self._arm.seconds = seconds  # a real gripper opens on its way
 
     def engage(self) -> None:
         self._drive(0.8)
-        self._still = 0
+        self._recent.clear()
         self._wait_until_still()
 
     def engaged(self) -> bool:
@@ -132,8 +133,7 @@ class Gripper(EndEffector):
 
     def update_hold(self) -> None:
         """Friction alone decides; here it is only seen whether the fingers move."""
-        moving = abs(self._simulation.client.getJointState(self._arm.body, self._driver)[1]) > MOVING
-        self._still = 0 if moving else self._still + 1
+        self._recent.append(self._angle())
 
     def sense(self) -> tuple[float, bool]:
         # Fingers that have just lost an object are still on their way, and as far apart as if they held it.
@@ -150,10 +150,14 @@ class Gripper(EndEffector):
     def _wait_until_still(self) -> None:
         def still() -> bool:
             self.update_hold()
-            return self._still >= STILL_STEPS
+            return self._still()
 
-        if self._still < STILL_STEPS:
+        if not self._still():
             self._arm.wait(self._close_steps, still)
+
+    def _still(self) -> bool:
+        """Whether the driver joint stayed where it is for the last steps."""
+        return len(self._recent) > STILL_STEPS and max(self._recent) - min(self._recent) < STILL
 
     def _angle(self) -> float:
         return float(self._simulation.client.getJointState(self._arm.body, self._driver)[0])

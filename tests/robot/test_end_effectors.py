@@ -154,21 +154,21 @@ def test_what_is_held_does_not_creep_out_of_the_fingers(gripper: SimulatedRobot)
     assert np.linalg.norm((high[-1] - high[0])[:2]) < 0.0005
 
 
-def _seconds_at_the_pick(robot: SimulatedRobot) -> list[float]:
-    """Filled from now on with the robot's seconds of each closing or sealing, and of each sensing."""
-    seconds: list[float] = []
+def test_fingers_that_squeeze_something_are_soon_at_rest(make_robot: Callable[..., SimulatedRobot]) -> None:
+    """They tremble as long as they squeeze: waiting for a speed of nought used all the time that closing is allowed."""
+    robot = make_robot("primitive=grasp")
+    _place(robot, "cube", (0.0, 0.0, 0.03))
+    waits, wait = [], robot.arm.wait
 
-    def timed(work: Callable) -> Callable:
-        def wrapped() -> object:
-            before = robot.arm.seconds
-            result = work()
-            seconds.append(robot.arm.seconds - before)
-            return result
+    def counted(*args: object, **options: object) -> None:
+        before = robot.simulation.steps
+        wait(*args, **options)
+        waits.append(robot.simulation.steps - before)
 
-        return wrapped
-
-    robot.tool.engage, robot.tool.sense = timed(robot.tool.engage), timed(robot.tool.sense)
-    return seconds
+    robot.arm.wait = counted
+    assert _pick(robot, 0.0, 0.0).success
+    assert waits[0] < 100, "of 180 that closing may take"
+    assert len(waits) == 2, "after closing and holding, sensing has nothing to wait for"
 
 
 @pytest.mark.parametrize("primitive", ["suction", "grasp"])
@@ -176,21 +176,20 @@ def _seconds_at_the_pick(robot: SimulatedRobot) -> list[float]:
 def test_fast_motion_ends_as_full_motion_does_and_counts_the_same_time(
     make_robot: Callable[..., SimulatedRobot], primitive: str, x: float
 ) -> None:
-    outcomes, waits = {}, {}
+    outcomes = {}
     for motion in ("fast", "full"):
         robot = make_robot(f"primitive={primitive}", f"robot.motion={motion}")
         _place(robot, "cube", (0.0, 0.0, 0.03))
         home = robot.arm.tool_position()
         _pick(robot, -0.1, -0.1)  # the second pick: the fingers of the first are still open
-        waits[motion] = _seconds_at_the_pick(robot)
-        outcomes[motion] = _pick(robot, x, 0.0)
+        row, col = robot.workspace.to_pixel(np.array(x), np.array(0.0))
+        pick = robot.workspace.pick(robot.truth().heightmap, int(row), int(col), 0.0)
+        # In the middle: both fingers meet the cube at once, so that none pushes it about and they are at rest equally soon.
+        outcomes[motion] = robot.execute(replace(pick, x=x, y=0.0))
         assert np.linalg.norm(robot.arm.tool_position() - home) < 1e-3
     fast, full = outcomes["fast"], outcomes["full"]
     assert (fast.success, fast.truth, fast.cause) == (full.success, full.truth, full.cause)
-    # Fingers that push the cube about while they close are at rest a little sooner or later: that is a wait, not a motion.
-    moving = [outcomes[motion].robot_seconds - sum(waits[motion]) for motion in ("fast", "full")]
-    assert moving[0] == pytest.approx(moving[1], abs=1e-6 if x else 0.02)
-    assert fast.robot_seconds == pytest.approx(full.robot_seconds, abs=0.02 if x or primitive == "suction" else 0.2)
+    assert fast.robot_seconds == pytest.approx(full.robot_seconds, abs=0.02)
     assert full.steps >= full.robot_seconds * 240 - 1
     assert fast.steps < 0.7 * full.steps
 
