@@ -230,6 +230,11 @@ def _check_vision(cfg: DictConfig) -> None:
         raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
     if cfg.task.weights and not Path(cfg.task.weights).is_file():
         raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of a run's checkpoints/vision.ckpt")
+    floor = OmegaConf.select(cfg, "robot.bin.floor")
+    if cfg.labels == "vision" and cfg.task.label and floor not in (None, "plain"):
+        raise ConfigError(
+            f"labels=vision subtracts one empty bin, and with robot.bin.floor={floor} each scene has another: use labels=truth"
+        )
     if not 0 < cfg.pretrain.validation < 1:
         raise ConfigError(f"pretrain.validation={cfg.pretrain.validation} must lie between 0 and 1: it is a share")
     train = cfg.collect.interactions - max(1, round(cfg.pretrain.validation * cfg.collect.interactions))

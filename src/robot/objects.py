@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -187,3 +188,14 @@ CATALOGUE: dict[str, Callable[[], list[trimesh.Trimesh]]] = {
     "arch": lambda: [half_round(0.032, 0.06)],
     **HOUSEHOLD,
 }
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """A uniform unit quaternion, xyzw."""
+    q = rng.normal(size=4)
+    return q / np.linalg.norm(q)
+
+
+def random_color(rng: np.random.Generator) -> tuple[float, float, float]:
+    """RGB, 0 to 1: any hue, neither pale nor dark."""
+    return colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.5, 1.0), rng.uniform(0.5, 1.0))

@@ -169,6 +169,7 @@ class SimulatedRobot(Robot):
         self.rebuilds.update(layout.refused)
         # From the layout in either case: what settled and what is put back differ in Bullet's memory of contacts.
         self._put(layout, count)
+        self.scene.paint_floor(generator("floor", scene_seed))
         self._mount()
         self._noise = generator("sensor", scene_seed)
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import colorsys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from see2act.robot.floors import floor_picture
 from see2act.robot.layouts import Layout, Placed, Refusal
-from see2act.robot.objects import ObjectSet
+from see2act.robot.objects import ObjectSet, random_color, random_rotation
 from see2act.robot.simulation import Simulation
 from see2act.robot.textures import TEXTURES
-from see2act.robot.types import Split
+from see2act.robot.types import RobotError, Split
 
 AT_REST, TURNING = 0.01, 0.5
 """m/s and rad/s. What is slower counts as lying still."""
@@ -22,6 +22,22 @@ STILL_CHECKS, STILL_CHECKS_AT_FIRST = 4, 24
 for a moment too."""
 TOUCHING = 0.001
 """Metres between two objects that count as touching."""
+FLOORS = ("plain", "textured")
+SHEET = """v -1 -1 0
+v 1 -1 0
+v 1 1 0
+v -1 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+vn 0 0 1
+f 1/1/1 2/2/1 3/3/1
+f 1/1/1 3/3/1 4/4/1
+"""
+"""Wavefront text of a square that looks up, its texture's lower left where x and y are least."""
+SHEET_ABOVE = 1e-4
+"""Metres of a floor's picture above the floor; nothing can touch it."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +54,11 @@ class BinConfig:
         touching: Least share of a full bin's objects that touch another; a scene more scattered is no clutter.
         settle_steps: Most timesteps to wait for rest after a reset.
         rest_steps: The same after an attempt.
+        floor: ``plain`` grey, or ``textured``: in every scene another material.
+        distractors: Pictures of seen objects printed on a textured floor.
+
+    Raises:
+        RobotError: There is no such floor, or nothing that distractors could be printed on.
     """
 
     wall_height: float
@@ -48,6 +69,17 @@ class BinConfig:
     touching: float
     settle_steps: int
     rest_steps: int
+    floor: str = "plain"
+    distractors: int = 0
+
+    def __post_init__(self) -> None:
+        if self.floor not in FLOORS:
+            raise RobotError(f"robot.bin.floor={self.floor} is unknown: choose one of {', '.join(FLOORS)}")
+        if self.distractors < 0 or (self.distractors and self.floor == "plain"):
+            raise RobotError(
+                f"robot.bin.distractors={self.distractors} with robot.bin.floor={self.floor}: give 0, or a number above 0 "
+                "and robot.bin.floor=textured, which they are printed on"
+            )
 
 
 @dataclass(frozen=True)
@@ -96,6 +128,22 @@ class Scene:
         self.floor = self._block((x + thickness, y + thickness, 0.005), (0, 0, -0.005), (0.32, 0.33, 0.35))
         self.walls = self._ring(x, y, thickness / 2, height, (0.25, 0.42, 0.6))
 
+    def paint_floor(self, rng: np.random.Generator) -> None:
+        """Lay a textured floor's picture, drawn anew, over the floor; a plain floor stays as it is."""
+        if self._config.floor == "plain":
+            return
+        client, half = self._simulation.client, self._size / 2
+        printed = [self._objects.shape(str(name)) for name in rng.choice(self._objects.seen, self._config.distractors)]
+        width, length = self._size
+        picture = floor_picture(rng, width, length, printed)
+        with tempfile.TemporaryDirectory() as folder:  # of a new name each time: Bullet keeps textures by their files' names
+            image, sheet = Path(folder) / "floor.png", Path(folder) / "sheet.obj"
+            cv2.imwrite(str(image), picture[..., ::-1])
+            sheet.write_text(SHEET)
+            visual = client.createVisualShape(client.GEOM_MESH, fileName=str(sheet), meshScale=[*half, 1])
+            body = client.createMultiBody(0, -1, visual, (0, 0, SHEET_ABOVE))
+            client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(image)), rgbaColor=(1, 1, 1, 1))
+
     def drop(self, rng: np.random.Generator, split: Split, count: int | None = None) -> Refusal | None:
         """Let objects fall in one after the other and wait until they lie still; all of them, or only ``count``.
 
@@ -110,7 +158,7 @@ class Scene:
         order = rng.permutation(np.repeat(names, self._objects.copies))
         for name in order[:count]:
             position = (*rng.uniform(-area / 2, area / 2), self._config.drop_height)
-            self._add(str(name), float(rng.uniform(*self._objects.scale)), position, _random_rotation(rng), _random_color(rng))
+            self._add(str(name), float(rng.uniform(*self._objects.scale)), position, random_rotation(rng), random_color(rng))
             for _ in range(50):
                 self._simulation.step()
         self.settle(self._config.settle_steps)
@@ -261,13 +309,3 @@ class Scene:
         block = int(client.createMultiBody(0, collision, visual, at))
         client.changeDynamics(block, -1, lateralFriction=self._config.friction)
         return block
-
-
-def _random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """A uniform unit quaternion, xyzw."""
-    q = rng.normal(size=4)
-    return q / np.linalg.norm(q)
-
-
-def _random_color(rng: np.random.Generator) -> tuple[float, float, float]:
-    return colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.5, 1.0), rng.uniform(0.5, 1.0))
