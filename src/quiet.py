@@ -12,6 +12,7 @@ def quiet() -> None:
     os.environ.setdefault("WANDB_ERROR_REPORTING", "false")
     os.environ.setdefault("WANDB_SILENT", "true")
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    logging.getLogger("timm.models").setLevel(logging.ERROR)  # a backbone has no use for a classifier's last layer
     # Our data lives in memory, and the interactive loader must not run in a worker.
     warnings.filterwarnings("ignore", message=".*does not have many workers.*")
     warnings.filterwarnings("ignore", message=".*module\\(s\\) in eval mode.*")  # frozen BatchNorm is intended

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import timm
 import torch
 from safetensors.torch import load_file, save_file
 from see2act import attempts_csv
@@ -67,7 +68,7 @@ def _command(folder: Path, cache: Path, *overrides: str) -> list[str]:
 
 
 def _width(overrides: tuple[str, ...]) -> tuple[str, ...]:
-    return () if {"model=rpn_r50_fpn", "model=nanodet_g"} & {*overrides} else ("model.width=4",)
+    return () if {"model=rpn_r50_fpn", "model=nanodet_g", "model=timm_fpn"} & {*overrides} else ("model.width=4",)
 
 
 def _train(folder: Path, cache: Path, *overrides: str) -> str:
@@ -400,6 +401,17 @@ def test_nanodet_acts_and_learns_from_the_cache_s_weights(tmp_path: Path, cache:
     assert not report["left_at_initialisation"]
     assert report["copied"]["head.logits.weight"] == [80, 128, 1, 1]
     assert (tmp_path / "coco" / "figures" / "heatmaps.png").exists()
+
+
+def test_a_backbone_of_timm_acts_and_learns_from_its_weights(tmp_path: Path, cache: Path) -> None:
+    file = tmp_path / "weights.pth"
+    torch.save(timm.create_model("test_resnet").state_dict(), file)
+    few = ("logger=none", "model=timm_fpn", "finetune.attempts=1", "evaluate.attempts.seen=1", "evaluate.attempts.unseen=1")
+    resnet = ("model.backbone=test_resnet", "task=imagenet", f"task.weights={file}", "transfer=backbone", "primitive=grasp")
+    _train(tmp_path / "imagenet", cache, *few, *resnet)
+    report = json.loads((tmp_path / "imagenet" / "transfer.json").read_text())
+    assert report["copied"]["backbone.body.conv1.0.weight"][1] == 4
+    assert {key.split(".")[1] for key in report["left_at_initialisation"] if key.startswith("backbone")} == {"fpn"}
 
 
 def test_the_rpn_learns_to_see_and_to_act(tmp_path: Path, cache: Path) -> None:

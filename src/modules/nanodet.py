@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import DEPTHS, Logits, PixelNetwork, crop
+from see2act.modules.network import DEPTHS, SCALES, Logits, PixelNetwork, crop, magnified
 from torch import Tensor, nn
 
 CLASSES = 80
@@ -87,8 +87,7 @@ class Backbone(nn.Module):
             nn.init.kaiming_normal_(self.depth.weight, a=SLOPE, nonlinearity="leaky_relu")
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 128 h w"]:
-        if self.scale != 1:
-            x = F.interpolate(x, scale_factor=float(self.scale), mode="bicubic", align_corners=False)
+        x = magnified(x, self.scale)
         first, *others = self.stages
         y = first(x[:, :3], None if self.depth is None else self.depth(x[:, 3:]))
         features = []
@@ -148,8 +147,8 @@ class NanoDet(PixelNetwork):
     """
 
     def __init__(self, scale: int = 2, depth: str = "early"):
-        if scale not in (1, 2, 4):
-            raise ValueError(f"model.scale={scale} is unknown: choose 1, 2 or 4")
+        if scale not in SCALES:
+            raise ValueError(f"model.scale={scale} is unknown: choose one of {', '.join(map(str, SCALES))}")
         if depth not in DEPTHS:
             raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
         # It could see 420 px to each side; nine tenths of a logit's gradient lie within 140 (both enlarged).

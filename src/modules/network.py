@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
 PRECISIONS = ("fp32", "bf16")
 DEPTHS = ("early", "none")
 """How the depth may enter networks that others trained on RGB: at the first convolution, or not at all."""
+SCALES = (1, 2, 4)
+"""By how much networks of a coarse stride may enlarge their input."""
 TOGETHER = {"fp32": 2, "bf16": 4}
 """Heightmaps that go through a network at once on a processor: more of them no longer fit its cache."""
 
@@ -47,7 +50,7 @@ class PixelNetwork(nn.Module):
     Args:
         backbone: Feature extractor.
         head: Prediction layers, a :class:`Logits` among them.
-        stride: Input sides must be multiples of this.
+        stride: Input sides are padded to multiples of this.
         reach: Pixels around a logit that can influence it, on each side.
     """
 
@@ -105,10 +108,12 @@ class PixelNetwork(nn.Module):
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self._precision == "bf16")
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 1 H W"]:
-        """Logits of prepared input."""
+        """Logits of prepared input, which may be of any size."""
+        rows, cols = x.shape[2:]
+        x = F.pad(x, (0, -cols % self.stride, 0, -rows % self.stride))
         with self.autocast():
             logits: Tensor = self.head(self.backbone(x.contiguous(memory_format=self._layout)))
-        return logits.float()
+        return logits[..., :rows, :cols].float()
 
     @torch.no_grad()
     def scores(self, color: UInt8[np.ndarray, "n H W 3"], height: Float[np.ndarray, "n H W"]) -> Float[np.ndarray, "n H W"]:
@@ -132,6 +137,11 @@ class Logits(nn.Conv2d):
     def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B K H W"]:
         with torch.autocast(x.device.type, enabled=False):
             return super().forward(x.to(self.weight.dtype))
+
+
+def magnified(x: Float[Tensor, "B C h w"], scale: int) -> Float[Tensor, "B C H W"]:
+    """Input enlarged by one of ``SCALES``, bicubic."""
+    return x if scale == 1 else F.interpolate(x, scale_factor=float(scale), mode="bicubic", align_corners=False)
 
 
 def crop(

@@ -140,7 +140,7 @@ def test_a_new_network_knows_nothing_anywhere() -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "mend"), [({"scale": 3}, "choose 1, 2 or 4"), ({"depth": "late"}, "choose one of early, none")]
+    ("override", "mend"), [({"scale": 3}, "choose one of 1, 2, 4"), ({"depth": "late"}, "choose one of early, none")]
 )
 def test_wrong_numbers_are_refused(override: dict, mend: str) -> None:
     with pytest.raises(ValueError, match=mend):

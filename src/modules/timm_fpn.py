@@ -1,0 +1,177 @@
+"""Any backbone of timm that gives feature maps, under a small feature pyramid: github.com/huggingface/pytorch-image-models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from see2act.modules.network import DEPTHS, SCALES, Logits, PixelNetwork, magnified
+from torch import Tensor, nn
+
+CHANNELS = 128
+"""Of the pyramid and of the head."""
+FINEST = 4
+"""Stride of the finest feature map that is used, and of the head's logits."""
+REACH = 512
+"""Pixels; the deepest backbones see more, transformers see everything, and no heightmap here is larger."""
+
+
+class TimmFPN(PixelNetwork):
+    """RGB-D through a backbone by name, a pyramid and a head like an RPN's.
+
+    Args:
+        backbone: A name of ``timm.list_models()`` that has feature maps: resnet18, convnext_atto, tf_efficientnet_lite0,
+            vit_small_patch14_dinov2, ...
+        depth: How the depth enters: ``early``, as the fourth channel of the first layer, or ``none``.
+        scale: By how much the input is enlarged before.
+
+    Raises:
+        ValueError: timm is not installed, has no such backbone, or it has no feature maps of inputs of any size; or there is
+            no such ``depth`` or ``scale``.
+    """
+
+    def __init__(self, backbone: str = "resnet18", depth: str = "early", scale: int = 1):
+        if scale not in SCALES:
+            raise ValueError(f"model.scale={scale} is unknown: choose one of {', '.join(map(str, SCALES))}")
+        if depth not in DEPTHS:
+            raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
+        features = Backbone(backbone, depth, scale)
+        coarsest, finest = max(features.strides), min(features.strides)
+        super().__init__(features, Head(finest, scale), stride=coarsest // math.gcd(coarsest, scale), reach=REACH)
+
+
+class Backbone(nn.Module):
+    """RGB-D to the finest level of a feature pyramid, (B, 4, H, W) -> (B, 128, scale H / s, scale W / s).
+
+    Args:
+        name: Of a timm model.
+        depth: ``early`` or ``none``.
+        scale: By how much the input is enlarged before.
+    """
+
+    def __init__(self, name: str, depth: str, scale: int):
+        super().__init__()
+        self._channels_in = 4 if depth == "early" else 3
+        self._scale = scale
+        self.body = timm_body(name, self._channels_in)
+        used = [i for i, stride in enumerate(self.body.feature_info.reduction()) if stride >= FINEST]
+        self._used = used
+        self.strides = [self.body.feature_info.reduction()[i] for i in used]
+        self.fpn = Pyramid([self.body.feature_info.channels()[i] for i in used])
+
+    def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 128 h w"]:
+        features = self.body(magnified(x, self._scale)[:, : self._channels_in])
+        merged: Tensor = self.fpn([features[i] for i in self._used])
+        return merged
+
+
+class Pyramid(nn.Module):
+    """Adds feature maps of all levels at the finest (Lin et al. 2017); those of a plain transformer are of one size.
+
+    Args:
+        channels: Of the maps, the finest first.
+    """
+
+    def __init__(self, channels: Sequence[int]):
+        super().__init__()
+        self.laterals = nn.ModuleList(nn.Conv2d(n, CHANNELS, 1) for n in channels)
+
+    def forward(self, features: Sequence[Float[Tensor, "B c h w"]]) -> Float[Tensor, "B 128 h w"]:
+        merged: Tensor | None = None
+        for lateral, feature in zip(reversed(self.laterals), reversed(features), strict=True):
+            here = lateral(feature)
+            merged = here if merged is None else here + F.interpolate(merged, size=here.shape[2:], mode="bilinear")
+        assert merged is not None
+        return merged
+
+
+class Head(nn.Module):
+    """Features to one logit a pixel: 3x3 convolutions, each but the last enlarged twice, until the stride is no more than 4.
+
+    Args:
+        stride: Of the features.
+        scale: Of the input's enlargement, which is undone.
+    """
+
+    def __init__(self, stride: float, scale: int):
+        super().__init__()
+        layers: list[nn.Module] = [_convolution()]
+        while stride > FINEST:
+            layers += [nn.Upsample(scale_factor=2, mode="bilinear"), _convolution()]
+            stride /= 2
+        self.convolutions = nn.Sequential(*layers)
+        self.logits = Logits(CHANNELS, 1, 1)
+        # Start near "I do not know": every pixel of a new head has a probability of about a half.
+        nn.init.normal_(self.logits.weight, std=0.01)
+        assert self.logits.bias is not None
+        nn.init.zeros_(self.logits.bias)
+        self._factor = stride / scale
+
+    def forward(self, x: Float[Tensor, "B 128 h w"]) -> Float[Tensor, "B 1 H W"]:
+        logits = self.logits(self.convolutions(x))
+        return logits if self._factor == 1 else F.interpolate(logits, scale_factor=self._factor, mode="bilinear")
+
+
+def _convolution() -> nn.Sequential:
+    layer = nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1, bias=False)
+    nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+    return nn.Sequential(layer, nn.BatchNorm2d(CHANNELS), nn.ReLU())
+
+
+def library() -> Any:
+    """timm, which is an extra and takes seconds to import.
+
+    Raises:
+        ValueError: It is not installed.
+    """
+    try:
+        return import_module("timm")
+    except ImportError:
+        raise ValueError("model=timm_fpn needs the package timm: pip install 'see2act[timm]'") from None
+
+
+def timm_body(name: str, channels_in: int, **weights: object) -> Any:
+    """A backbone that gives a list of feature maps, with random parameters if ``weights`` do not say otherwise.
+
+    Args:
+        name: A timm model.
+        channels_in: Of its input.
+        weights: For ``timm.create_model``: where pretrained parameters come from.
+
+    Returns:
+        A module whose ``feature_info`` says strides and channels of the maps.
+
+    Raises:
+        ValueError: As for :class:`TimmFPN`.
+    """
+    timm = library()
+    if not timm.is_model(name):
+        near = timm.list_models(f"*{name.split('_')[0]}*")[:5] or ["resnet18", "convnext_atto"]
+        raise ValueError(f"model.backbone={name} is unknown to timm {timm.__version__}: choose another, {', '.join(near)}, ...")
+    any_size = {"dynamic_img_size": True} if timm.get_pretrained_cfg(name).fixed_input_size else {}
+    build = partial(timm.create_model, name, features_only=True, in_chans=channels_in, **any_size)
+    try:
+        with torch.device("meta"):
+            _check_maps(build(), channels_in)
+    except Exception as error:  # whatever hundreds of models raise
+        reason = " ".join(str(error).split())[:120]
+        raise ValueError(
+            f"model.backbone={name} gives no feature maps of inputs of any size ({type(error).__name__}: {reason}): choose "
+            "another, such as resnet18, convnext_atto or vit_small_patch14_dinov2"
+        ) from None
+    return build(**weights)
+
+
+def _check_maps(body: Any, channels_in: int) -> None:
+    strides, channels = body.feature_info.reduction(), body.feature_info.channels()
+    rows, cols = 6 * max(strides), 9 * max(strides)
+    maps = body(torch.empty(1, channels_in, rows, cols))
+    expected = [(1, n, rows // stride, cols // stride) for n, stride in zip(channels, strides, strict=True)]
+    if [tuple(feature.shape) for feature in maps] != expected:
+        raise ValueError(f"they are {tuple(maps[-1].shape)} instead of {expected[-1]}")
