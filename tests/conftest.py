@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 
 import pytest
+import torch
 from omegaconf import DictConfig
 from see2act import build
 from see2act.config import composed
 from see2act.robot.robot import SimulatedRobot
+
+# As many tests run at once as there are cores. Threads of torch that find no free core wait for each other, busily.
+torch.set_num_threads(1)
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests run
 
 
 @pytest.fixture(scope="session")

@@ -34,6 +34,7 @@ from torchvision.models.detection import fasterrcnn_resnet50_fpn
 TRAIN = Path(__file__).parents[1] / "train.py"
 TINY = (
     *(
+        "threads=1",
         "collect.interactions=10",
         "pretrain.epochs=1",
         "pretrain.batch_size=4",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, Protocol
@@ -51,21 +51,24 @@ class Torchvision:
         weights: A torchvision model and one of its weights, ``resnet50.IMAGENET1K_V1``.
         mean, std: Of the RGB channels (0..1) that they were trained with.
         epsilon: Of their BatchNorm.
+        epsilon_of: The same of those models that have another.
     """
 
     weights: str
     mean: Sequence[float]
     std: Sequence[float]
     epsilon: float
+    epsilon_of: Mapping[str, float] = field(default_factory=dict)
 
     def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
         """As of :class:`OffTheShelf`: from ``file``, or else from torchvision's cache or the network."""
         state = to_our_keys(read(Path(file)) if file else self._download())
         if "normalization.mean" in state:
             return state  # a checkpoint of this project, which has all of it
+        epsilon = self.epsilon_of.get(self.weights.split(".")[0], self.epsilon)
         for layer in [key.removesuffix("running_mean") for key in state if key.endswith("running_mean")]:
             state.setdefault(f"{layer}num_batches_tracked", torch.tensor(0))
-            state[f"{layer}epsilon"] = torch.tensor(self.epsilon)
+            state[f"{layer}epsilon"] = torch.tensor(epsilon)
         return state | {"normalization.mean": torch.tensor([*self.mean]), "normalization.std": torch.tensor([*self.std])}
 
     def _download(self) -> Mapping[str, Tensor]:
@@ -128,7 +131,9 @@ def to_our_keys(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def _rename(key: str, state: Mapping[str, Tensor]) -> str:
-    if "conv1.weight" in state and key.split(".")[0] not in ("fc", "avgpool"):
+    if "features.0.0.weight" in state:
+        key = key.replace("features.", "backbone.body.", 1) if key.startswith("features.") else key  # a MobileNet
+    elif "conv1.weight" in state and key.split(".")[0] not in ("fc", "avgpool"):
         key = f"backbone.body.{key}"  # a classifier, or the body of one
     elif "body.conv1.weight" in state:
         key = f"backbone.{key}"  # a backbone by itself

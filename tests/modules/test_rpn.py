@@ -11,17 +11,20 @@ from pathlib import Path
 
 import pytest
 import torch
+from hydra.utils import instantiate
 from safetensors.torch import save_file
+from see2act.config import composed
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
-from see2act.modules.rpn import RPN, enlarged
+from see2act.modules.rpn import MOBILENET, RPN, enlarged
 from see2act.modules.transfer import TransferError, copy_parts
 from see2act.modules.weights import Torchvision, read, to_our_keys
 from torch import Tensor
-from torchvision.models import resnet18, resnet50
+from torchvision.models import mobilenet_v3_large, resnet18, resnet50
 from torchvision.models.detection import FasterRCNN, fasterrcnn_resnet50_fpn
 from torchvision.models.detection._utils import overwrite_eps
-from torchvision.models.detection.backbone_utils import _resnet_fpn_extractor
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.backbone_utils import _mobilenet_extractor, _resnet_fpn_extractor
 from torchvision.ops import FrozenBatchNorm2d
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
@@ -114,6 +117,52 @@ def test_it_equals_the_detector_that_torchvision_builds_untrained(tmp_path: Path
     assert (ours[..., ::4, ::4] - objectness[0].amax(1, keepdim=True)).abs().max() <= 1e-5
 
 
+def test_a_mobilenet_gives_its_detector_s_objectness(tmp_path: Path) -> None:
+    """As torchvision builds it for COCO_V1: frozen BatchNorm, whose epsilon is not that of the classifier."""
+    torch.manual_seed(5)
+    body = mobilenet_v3_large(weights=None, norm_layer=FrozenBatchNorm2d)
+    sizes = 3 * ((32, 64, 128, 256, 512),)
+    anchors = AnchorGenerator(sizes, 3 * ((0.5, 1.0, 2.0),))
+    detector = FasterRCNN(_mobilenet_extractor(body, True, 6), 91, rpn_anchor_generator=anchors).eval()
+    for layer in detector.modules():
+        if isinstance(layer, FrozenBatchNorm2d):
+            layer.running_mean.normal_(0, 0.1)
+            layer.running_var.uniform_(0.001, 2)
+    shelf = instantiate(
+        composed(["model=rpn_r50_fpn", f"model.backbone={MOBILENET}", "task=coco"]).task.off_the_shelf.rpn_r50_fpn
+    )
+    network = RPN(MOBILENET).eval()
+    source = _with_height(shelf.read(str(_save_pth(detector.state_dict(), tmp_path)), tmp_path))
+    report = copy_parts(source, network, ["backbone", "head"], zero=ZERO)
+    assert set(report.set_to_zero) == {"backbone.depth.weight"}
+    assert not report.left_at_initialisation
+    network, exact = network.double(), detector.double()
+    color = torch.randint(0, 256, (1, 256, 320, 3), dtype=torch.uint8)
+    image = exact.transform.normalize(color[0].permute(2, 0, 1).double() / 255)[None]
+    with torch.no_grad():
+        objectness, _ = exact.rpn.head([exact.backbone(image)["0"]])
+        ours = network(network.prepare(color, torch.rand(1, 256, 320).double()))
+    expected = objectness[0].amax(1, keepdim=True).float()
+    assert (ours[..., ::32, ::32] - expected).abs().max() < 1e-4 * expected.std()
+
+
+def test_a_mobilenet_that_classifies_gives_the_body_alone(tmp_path: Path) -> None:
+    torch.manual_seed(6)
+    classifier = mobilenet_v3_large(weights=None).eval()
+    shelf = instantiate(
+        composed(["model=rpn_r50_fpn", f"model.backbone={MOBILENET}", "task=imagenet"]).task.off_the_shelf.rpn_r50_fpn
+    )
+    network = RPN(MOBILENET).eval()
+    source = _with_height(shelf.read(str(_save_pth(classifier.state_dict(), tmp_path)), tmp_path))
+    report = copy_parts(source, network, ["backbone"], ["backbone.fpn"], ZERO)
+    assert {key.split(".")[0] for key in report.unused} == {"classifier"}
+    x = torch.randn(1, 3, 64, 96)
+    ours, theirs = x, classifier.features(x)
+    for layer in network.backbone.body.values():
+        ours = layer(ours)
+    torch.testing.assert_close(ours, theirs)
+
+
 def test_a_classifier_gives_the_body_alone(tmp_path: Path) -> None:
     torch.manual_seed(1)
     classifier = resnet50(weights=None).eval()
@@ -180,7 +229,7 @@ def test_logits_lie_over_what_they_were_computed_from() -> None:
         y = x + torch.randn(8, 3, 64, 64)
         for name in ("conv1", "bn1", "relu", "maxpool", "layer1"):
             y = stem[name](y)
-        enlarged(y)[:, :, row, col].square().sum().backward()
+        enlarged(y, 4)[:, :, row, col].square().sum().backward()
         weight = x.grad.abs().sum((0, 1))
         centre = (pixels * weight[..., None]).sum((0, 1)) / weight.sum()
         assert (centre - torch.tensor([float(row), float(col)])).abs().max() < 0.75
@@ -188,8 +237,8 @@ def test_logits_lie_over_what_they_were_computed_from() -> None:
 
 def test_features_are_enlarged_linearly_between_their_centres() -> None:
     x = torch.tensor([[[[0.0, 4.0], [8.0, 12.0]]]])
-    assert enlarged(x)[0, 0, 0].tolist() == [0, 1, 2, 3, 4, 4, 4, 4]
-    assert enlarged(x)[0, 0, :, 4].tolist() == [4, 6, 8, 10, 12, 12, 12, 12]
+    assert enlarged(x, 4)[0, 0, 0].tolist() == [0, 1, 2, 3, 4, 4, 4, 4]
+    assert enlarged(x, 4)[0, 0, :, 4].tolist() == [4, 6, 8, 10, 12, 12, 12, 12]
 
 
 @pytest.mark.parametrize("name", ["resnet18", "resnet34"])
