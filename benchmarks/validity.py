@@ -1,7 +1,8 @@
 """How much room the benchmark leaves: scripted policies under the paper's evaluation protocol.
 
 An oracle that knows the scene should pick nearly always, and a random pixel rarely. `--policies trained` sends the models that
-are in `models/`, to see what they make of other objects (`objects=random_urdfs`).
+are in `models/`, to see what they make of other objects (`objects=random_urdfs`). `--policies heuristic` is what a user would
+try first: distance of colour from the floor for suction, an antipodal rule on heights for grasping.
 `--scenes develop` takes other scenes than evaluation does: use it while changing the scene, the tools or
 the objects.
 """
@@ -28,12 +29,13 @@ from see2act.seeding import generator
 from see2act.statistics import wilson
 
 from benchmarks.common import PRIMITIVES, arguments, at_least_one, parsed, show, spread
+from benchmarks.heuristics import heuristic
 
 TARGETS = {("oracle", "suction"): 0.95, ("oracle", "grasp"): 0.92, ("random", "suction"): 0.15, ("random", "grasp"): 0.20}
 """The oracle at least, a random pixel at most."""
 PER_OBJECT = 0.85
 SCRIPTED = ("oracle", "random", "random_foreground")
-TRAINED = "trained"
+HEURISTIC, TRAINED = "heuristic", "trained"
 
 
 def measure(overrides: list[str], primitive: str, split: Split, policy: str, scenes: str, wanted: int) -> dict[str, Any]:
@@ -86,6 +88,8 @@ def measure(overrides: list[str], primitive: str, split: Split, policy: str, sce
 def _scripted(policy: str, robot: SimulatedRobot, angles: int, rule: Policy) -> tuple[Affordances, Policy]:
     if policy == "oracle":
         return oracle(robot, angles), rule
+    if policy == HEURISTIC:
+        return heuristic(robot, angles), rule
     rng = generator(f"benchmarks/{policy}")
 
     def anywhere(color: np.ndarray, height: np.ndarray) -> np.ndarray:
@@ -102,7 +106,7 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--attempts", type=at_least_one, default=200, metavar="N", help="at least so many a row (default 200)")
     parser.add_argument("--scenes", choices=("evaluate", "develop"), default="evaluate")
-    parser.add_argument("--policies", nargs="+", choices=(*SCRIPTED, TRAINED), default=SCRIPTED)
+    parser.add_argument("--policies", nargs="+", choices=(*SCRIPTED, HEURISTIC, TRAINED), default=SCRIPTED)
     parser.add_argument("--primitives", nargs="+", choices=(*PRIMITIVES, "grasp_rg2"), default=PRIMITIVES)
     args = parsed(parser)
     jobs = [
