@@ -24,10 +24,11 @@ HEADLINE = (
 )
 
 OFF_THE_SHELF = {
-    "imagenet": "resnet50-0676ba61.pth",
-    "coco": "fasterrcnn_resnet50_fpn_coco-258fb6c6.pth",
+    ("rpn_r50_fpn", "imagenet"): "resnet50-0676ba61.pth",
+    ("rpn_r50_fpn", "coco"): "fasterrcnn_resnet50_fpn_coco-258fb6c6.pth",
+    ("nanodet_g", "coco"): "nanodet_g_coco.safetensors",
 }
-"""torchvision's files of the tasks that are not learned here."""
+"""Files of the tasks that are not learned here, by model: torchvision's, and that of ``make coco``."""
 
 
 def expected(primitive: str) -> list[tuple[str, str, str]]:
@@ -39,10 +40,12 @@ def expected(primitive: str) -> list[tuple[str, str, str]]:
     return [(*cell, "fcn7") for cell in simulated] + [(*cell, "rpn_r50_fpn") for cell in real]
 
 
-def missing_weights(task: str) -> str | None:
+def missing_weights(task: str, model: str) -> str | None:
     """The file that an off-the-shelf task needs and that is not on this machine; None if nothing is missing."""
-    if task not in OFF_THE_SHELF:
+    file = OFF_THE_SHELF.get((model, task))
+    if file is None:
         return None
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    hub = Path(os.environ.get("TORCH_HOME", cache / "torch")).expanduser() / "hub" / "checkpoints"
-    return None if (hub / OFF_THE_SHELF[task]).is_file() else OFF_THE_SHELF[task]
+    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    torchvision = Path(os.environ.get("TORCH_HOME", home / "torch")).expanduser() / "hub" / "checkpoints"
+    ours = Path(os.environ.get("SEE2ACT_CACHE", ".cache")) / "weights"
+    return None if any((folder / file).is_file() for folder in (torchvision, ours)) else file

@@ -168,7 +168,7 @@ def _missing(found: Found) -> list[Row]:
             cell = (task, transfer, model)
             begun = sum((u.task, u.transfer, u.model) == cell and _same(u.primitive, primitive) for u in found.unfinished)
             reason = f"only unfinished runs ({begun})" if begun else "no runs"
-            if file := paper.missing_weights(task):
+            if file := paper.missing_weights(task, model):
                 reason += f"; weights not here: {file}"
                 if like := [arm for bench in benches if bench.setting["model"] == model for arm in bench.arms]:
                     reason += f", with which it is `{command_for(task, transfer, file, like[0])}`"

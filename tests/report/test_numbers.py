@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torchvision
 from omegaconf import DictConfig
+from see2act.modules.nanodet_weights import FILE as NANODET
 from see2act.report import paper, runs
 from see2act.report.benches import SHOWN, find
 from see2act.report.plots import _blocks, _failures
@@ -107,12 +108,23 @@ def test_robot_minutes_add_up_and_failures_are_shares(make_run: MakeRun, tmp_pat
     assert _failures(arm, "after, by the protocol") == {"missed": 0.5}
 
 
-def test_the_file_names_of_weights_are_torchvision_s(config: Callable[..., DictConfig]) -> None:
-    for task, file in paper.OFF_THE_SHELF.items():
-        model, member = config(
-            f"task={task}", "transfer=backbone", "model=rpn_r50_fpn"
-        ).task.off_the_shelf.rpn_r50_fpn.weights.split(".")
-        assert torchvision.models.get_model_weights(model)[member].url.endswith(f"/{file}")
+def test_the_file_names_of_weights_are_those_that_are_read(config: Callable[..., DictConfig]) -> None:
+    for (model, task), file in paper.OFF_THE_SHELF.items():
+        shelf = config(f"task={task}", "transfer=backbone", f"model={model}").task.off_the_shelf[model]
+        if model == "nanodet_g":
+            assert file == NANODET.name
+            continue
+        name, member = shelf.weights.split(".")
+        assert torchvision.models.get_model_weights(name)[member].url.endswith(f"/{file}")
+
+
+def test_weights_of_make_coco_are_missed_and_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEE2ACT_CACHE", str(tmp_path))
+    assert paper.missing_weights("coco", "nanodet_g") == NANODET.name
+    (tmp_path / NANODET).parent.mkdir()
+    (tmp_path / NANODET).touch()
+    assert paper.missing_weights("coco", "nanodet_g") is None
+    assert paper.missing_weights("coco", "fcn7") is None
 
 
 def test_the_keys_of_a_setting_are_those_of_the_configuration(config: Callable[..., DictConfig]) -> None:
