@@ -79,6 +79,8 @@ class PrimitiveConfig:
     """Learning rate of fine-tuning, for every arm alike; of networks that have none of their own in ``model.rates``."""
     attempts: int = MISSING
     """Fine-tuning attempts of the main job."""
+    short_attempts: int = MISSING
+    """Of a comparison with off-the-shelf weights: the paper's ten minutes of suction, its hour of grasping."""
     benchmark_attempts: int = MISSING
     """Of a run of the benchmark."""
     evaluate_at: list[int] = field(default_factory=list)
