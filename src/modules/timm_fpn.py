@@ -59,7 +59,7 @@ class Backbone(nn.Module):
         super().__init__()
         self._channels_in = 4 if depth == "early" else 3
         self._scale = scale
-        self.body = timm_body(name, self._channels_in)
+        self.body, self._channels_last = timm_body(name, self._channels_in)
         used = [i for i, stride in enumerate(self.body.feature_info.reduction()) if stride >= FINEST]
         self._used = used
         self.strides = [self.body.feature_info.reduction()[i] for i in used]
@@ -67,6 +67,8 @@ class Backbone(nn.Module):
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 128 h w"]:
         features = self.body(magnified(x, self._scale)[:, : self._channels_in])
+        if self._channels_last:
+            features = [feature.permute(0, 3, 1, 2) for feature in features]
         merged: Tensor = self.fpn([features[i] for i in self._used])
         return merged
 
@@ -136,7 +138,7 @@ def library() -> Any:
         raise ValueError("model=timm_fpn needs the package timm: pip install 'see2act[timm]'") from None
 
 
-def timm_body(name: str, channels_in: int, **weights: object) -> Any:
+def timm_body(name: str, channels_in: int, **weights: object) -> tuple[Any, bool]:
     """A backbone that gives a list of feature maps, with random parameters if ``weights`` do not say otherwise.
 
     Args:
@@ -145,7 +147,8 @@ def timm_body(name: str, channels_in: int, **weights: object) -> Any:
         weights: For ``timm.create_model``: where pretrained parameters come from.
 
     Returns:
-        A module whose ``feature_info`` says strides and channels of the maps.
+        A module whose ``feature_info`` says strides and channels of the maps, and whether their channels come last (as
+        those of Swin do).
 
     Raises:
         ValueError: As for :class:`TimmFPN`.
@@ -158,20 +161,28 @@ def timm_body(name: str, channels_in: int, **weights: object) -> Any:
     build = partial(timm.create_model, name, features_only=True, in_chans=channels_in, **any_size)
     try:
         with torch.device("meta"):
-            _check_maps(build(), channels_in)
+            channels_last = _channels_come_last(build(), channels_in)
     except Exception as error:  # whatever hundreds of models raise
         reason = " ".join(str(error).split())[:120]
         raise ValueError(
             f"model.backbone={name} gives no feature maps of inputs of any size ({type(error).__name__}: {reason}): choose "
             "another, such as resnet18, convnext_atto or vit_small_patch14_dinov2"
         ) from None
-    return build(**weights)
+    return build(**weights), channels_last
 
 
-def _check_maps(body: Any, channels_in: int) -> None:
+def _channels_come_last(body: Any, channels_in: int) -> bool:
+    """Whether the maps of a backbone are (B, h, w, C) and not (B, C, h, w).
+
+    Raises:
+        ValueError: They are neither.
+    """
     strides, channels = body.feature_info.reduction(), body.feature_info.channels()
     rows, cols = 6 * max(strides), 9 * max(strides)
-    maps = body(torch.empty(1, channels_in, rows, cols))
-    expected = [(1, n, rows // stride, cols // stride) for n, stride in zip(channels, strides, strict=True)]
-    if [tuple(feature.shape) for feature in maps] != expected:
-        raise ValueError(f"they are {tuple(maps[-1].shape)} instead of {expected[-1]}")
+    shapes = [tuple(feature.shape) for feature in body(torch.empty(1, channels_in, rows, cols))]
+    expected = [(n, rows // stride, cols // stride) for n, stride in zip(channels, strides, strict=True)]
+    if shapes == [(1, n, h, w) for n, h, w in expected]:
+        return False
+    if shapes == [(1, h, w, n) for n, h, w in expected]:
+        return True
+    raise ValueError(f"they are {shapes[-1]} where (1, {', '.join(map(str, expected[-1]))}) was expected")

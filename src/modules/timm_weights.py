@@ -60,7 +60,7 @@ class TimmWeights:
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(seed)
                 try:
-                    bodies.append(timm_body(self.backbone, 3, pretrained=True, pretrained_cfg_overlay=source))
+                    bodies.append(timm_body(self.backbone, 3, pretrained=True, pretrained_cfg_overlay=source)[0])
                 except Exception as error:  # timm lets through what its hub's client and torch raise
                     reason = " ".join(str(error).split()).split(" and we ")[0][:120]
                     if file:
