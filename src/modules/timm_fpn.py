@@ -94,7 +94,7 @@ class Pyramid(nn.Module):
 
 
 class Head(nn.Module):
-    """Features to one logit a pixel: 3x3 convolutions, each but the last enlarged twice, until the stride is no more than 4.
+    """Features to one logit a pixel: 3x3 convolutions, between them as many enlargements by two as bring the stride to 4.
 
     Args:
         stride: Of the features.
