@@ -251,3 +251,17 @@ def test_make_coco_says_what_to_do(graph: Path, tmp_path: Path) -> None:
         _npm(tmp_path / f"bin{i}", package)
         assert len(said(tmp_path / f"bin{i}").splitlines()) == 1
     assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(("scale", "padded"), [(1, (128, 96)), (2, (112, 80))])
+def test_heightmaps_of_the_real_workspace_go_through_it(scale: int, padded: tuple[int, int]) -> None:
+    """Whose sides are no multiples of its stride: as if they lay at the upper left of a larger one of average pixels."""
+    torch.manual_seed(0)
+    network = NanoDet(scale).eval()
+    x = torch.randn(1, 4, 104, 72)
+    wider = torch.zeros(1, 4, *padded)
+    wider[..., :104, :72] = x
+    with torch.no_grad():
+        logits = network(x)
+        assert logits.shape == (1, 1, 104, 72)
+        torch.testing.assert_close(logits, network(wider)[..., :104, :72])
