@@ -117,7 +117,7 @@ def _check_shape(cfg: DictConfig) -> None:
     if given != (1, 1, rows, cols):
         raise ConfigError(
             f"model={cfg.model.name} gives {given} for a heightmap of {rows} x {cols} pixels, not (1, 1, {rows}, {cols}): "
-            f"choose workspace.length and workspace.width so that both are multiples of {network.stride} pixels"
+            f"its head must give a logit for every pixel of an input whose sides are multiples of its stride, {network.stride}"
         )
 
 

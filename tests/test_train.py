@@ -408,7 +408,7 @@ def test_a_backbone_of_timm_acts_and_learns_from_its_weights(tmp_path: Path, cac
     file = tmp_path / "weights.pth"
     torch.save(timm.create_model("test_resnet").state_dict(), file)
     few = ("logger=none", "model=timm_fpn", "finetune.attempts=1", "evaluate.attempts.seen=1", "evaluate.attempts.unseen=1")
-    resnet = ("model.backbone=test_resnet", "task=imagenet", f"task.weights={file}", "transfer=backbone", "primitive=grasp")
+    resnet = ("model.backbone=test_resnet", "task=imagenet", f"task.weights={file}", "transfer=backbone", "primitive=suction")
     _train(tmp_path / "imagenet", cache, *few, *resnet)
     report = json.loads((tmp_path / "imagenet" / "transfer.json").read_text())
     assert report["copied"]["backbone.body.conv1.0.weight"][1] == 4
@@ -416,7 +416,7 @@ def test_a_backbone_of_timm_acts_and_learns_from_its_weights(tmp_path: Path, cac
 
 
 def test_the_rpn_learns_to_see_and_to_act(tmp_path: Path, cache: Path) -> None:
-    rpn = ("model=rpn_r50_fpn", "model.backbone=resnet18", "task=foreground", "primitive=grasp")
+    rpn = ("model=rpn_r50_fpn", "model.backbone=resnet18", "task=foreground", "primitive=grasp", "primitive.angles=4")
     few = ("finetune.attempts=1", "evaluate.attempts.seen=1", "evaluate.attempts.unseen=1")
     _train(tmp_path / "rpn", cache, "logger=none", *rpn, *few)
     report = json.loads((tmp_path / "rpn" / "transfer.json").read_text())
