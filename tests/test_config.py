@@ -185,6 +185,7 @@ def test_refusals_name_the_mend_in_one_line(
         ["primitive.end_effector.contact_limit=inf"],
         ["trainer.logger=null", "+trainer.max_steps=-1"],
         ["workspace.length=0.365"],  # no multiple of the network's stride: it pads its input
+        ["task.weights=vision.ckpt", "workspace.length=0.365"],
     ],
 )
 def test_what_makes_sense_is_let_through(overrides: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,12 +58,9 @@ class FCN7(PixelNetwork):
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
-        # Start near "I do not know": every pixel of a new head has a probability of about a half.
         last = head[-2]
         assert isinstance(last, Logits)
-        assert last.bias is not None
-        nn.init.normal_(last.weight, std=0.01)
-        nn.init.zeros_(last.bias)
+        last.start_unsure()
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
         """The logit of one pixel of each input, with fixed statistics: every block sees no more than it depends on.

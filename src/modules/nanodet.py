@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import DEPTHS, SCALES, Logits, PixelNetwork, crop, magnified
+from see2act.modules.network import Logits, PixelNetwork, check_input, crop, magnified
 from torch import Tensor, nn
 
 CLASSES = 80
@@ -121,10 +121,7 @@ class Head(nn.Module):
         self.factor = STRIDE / scale
         self.conv = Convolution(PYRAMID_CHANNELS, PYRAMID_CHANNELS)
         self.logits = Logits(PYRAMID_CHANNELS, CLASSES, 1)
-        # A new head: nearly all alike, so that the highest of 80 is none of their noise, and "I do not know" everywhere.
-        nn.init.normal_(self.logits.weight, std=0.01)
-        assert self.logits.bias is not None
-        nn.init.zeros_(self.logits.bias)
+        self.logits.start_unsure()  # so that the highest of 80 is none of their noise
 
     def forward(self, x: Float[Tensor, "B 128 h w"]) -> Float[Tensor, "B 1 H W"]:
         return enlarged(self.logits(self.conv(x)).amax(1, keepdim=True), self.factor)
@@ -147,10 +144,7 @@ class NanoDet(PixelNetwork):
     """
 
     def __init__(self, scale: int = 2, depth: str = "early"):
-        if scale not in SCALES:
-            raise ValueError(f"model.scale={scale} is unknown: choose one of {', '.join(map(str, SCALES))}")
-        if depth not in DEPTHS:
-            raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
+        check_input(depth, scale)
         # It could see 420 px to each side; nine tenths of a logit's gradient lie within 140 (both enlarged).
         super().__init__(Backbone(scale, depth), Head(scale), stride=COARSEST // scale, reach=-(-424 // scale))
         self.scale = scale

@@ -131,8 +131,26 @@ class PixelNetwork(nn.Module):
         return logits
 
 
+def check_input(depth: str, scale: int = 1) -> None:
+    """Refuse a way for the depth to enter, or an enlargement, that no network has.
+
+    Raises:
+        ValueError: With the key of the configuration.
+    """
+    if scale not in SCALES:
+        raise ValueError(f"model.scale={scale} is unknown: choose one of {', '.join(map(str, SCALES))}")
+    if depth not in DEPTHS:
+        raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
+
+
 class Logits(nn.Conv2d):
     """The last convolution, in its parameters' precision: in bfloat16 large logits are equal, and ties go to the upper left."""
+
+    def start_unsure(self) -> None:
+        """Begin near "I do not know": every pixel has a probability of about a half, and its outputs are nearly alike."""
+        nn.init.normal_(self.weight, std=0.01)
+        assert self.bias is not None
+        nn.init.zeros_(self.bias)
 
     def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B K H W"]:
         with torch.autocast(x.device.type, enabled=False):

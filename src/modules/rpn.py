@@ -9,7 +9,7 @@ import torch.nn.functional as F
 import torchvision
 from jaxtyping import Float, Int
 from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import DEPTHS, Logits, PixelNetwork, crop
+from see2act.modules.network import Logits, PixelNetwork, check_input, crop
 from torch import Tensor, nn
 from torchvision.models.detection.backbone_utils import BackboneWithFPN
 from torchvision.models.detection.rpn import RPNHead
@@ -39,8 +39,7 @@ class DetectorBackbone(nn.Module):
 
     def __init__(self, name: str, depth: str):
         super().__init__()
-        if depth not in DEPTHS:
-            raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
+        check_input(depth)
         if name == MOBILENET:
             self.stride, self.anchors, pyramid = 32, 15, _mobilenet()
         elif name.startswith("resnet") and hasattr(torchvision.models, name):

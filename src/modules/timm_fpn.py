@@ -11,7 +11,7 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from see2act.modules.network import DEPTHS, SCALES, Logits, PixelNetwork, magnified
+from see2act.modules.network import Logits, PixelNetwork, check_input, magnified
 from torch import Tensor, nn
 
 CHANNELS = 128
@@ -37,10 +37,7 @@ class TimmFPN(PixelNetwork):
     """
 
     def __init__(self, backbone: str = "resnet18", depth: str = "early", scale: int = 1):
-        if scale not in SCALES:
-            raise ValueError(f"model.scale={scale} is unknown: choose one of {', '.join(map(str, SCALES))}")
-        if depth not in DEPTHS:
-            raise ValueError(f"model.depth={depth} is unknown: choose one of {', '.join(DEPTHS)}")
+        check_input(depth, scale)
         features = Backbone(backbone, depth, scale)
         coarsest, finest = max(features.strides), min(features.strides)
         super().__init__(features, Head(finest, scale), stride=coarsest // math.gcd(coarsest, scale), reach=REACH)
@@ -109,10 +106,7 @@ class Head(nn.Module):
             stride /= 2
         self.convolutions = nn.Sequential(*layers)
         self.logits = Logits(CHANNELS, 1, 1)
-        # Start near "I do not know": every pixel of a new head has a probability of about a half.
-        nn.init.normal_(self.logits.weight, std=0.01)
-        assert self.logits.bias is not None
-        nn.init.zeros_(self.logits.bias)
+        self.logits.start_unsure()
         self._factor = stride / scale
 
     def forward(self, x: Float[Tensor, "B 128 h w"]) -> Float[Tensor, "B 1 H W"]:

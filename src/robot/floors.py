@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 from see2act.robot.objects import Shape, random_color, random_rotation
 
 PER_METRE = 1000
@@ -39,14 +40,7 @@ def floor_picture(
 
 def _print(picture: np.ndarray, shape: Shape, rotation: np.ndarray, color: np.ndarray, at: np.ndarray) -> None:
     """Draw what one sees of a shape from above, its middle at column and row ``at``."""
-    x, y, z, w = rotation
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = Rotation.from_quat(rotation).as_matrix()
     triangles = np.concatenate([part.triangles for part in shape.parts]) @ turn.T
     normals = np.concatenate([part.face_normals for part in shape.parts]) @ turn.T
     for i in np.argsort(triangles[:, :, 2].mean(axis=1)):  # the highest last, over what it hides
