@@ -13,8 +13,10 @@ from see2act.report.benches import find
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
-SOURCES = {"": "full", "backbone and head": "full", "backbone": "backbone"}
+SOURCES = {"": "full", "backbone and head": "full", "backbone": "backbone", "never fine-tuned": "fixed"}
 """Words after a source to the transfer they mean."""
+MODELS = {"NanoDet-g": "nanodet_g", "EfficientNet-Lite0": "timm_fpn"}
+"""Words in the head of a table to the network, where a page shows more than one."""
 NUMBERS = re.compile(r"([\d.]+)(?: \[(-?[\d.]+), (-?[\d.]+)\])?(?: \((\d+)/(\d+)(?:, all seeds the same)?\))?")
 
 
@@ -22,14 +24,15 @@ class Cell(NamedTuple):
     """One cell of a published table, and where it stands."""
 
     place: str
+    model: str
     primitive: str
     source: tuple[str, str]
     column: str
     text: str
 
 
-def _tables(path: Path, after: str, before: str) -> Iterator[Cell]:
-    """Cells of all tables of arms between two headings."""
+def _tables(path: Path, after: str, before: str = "\n## ", model: str = "") -> Iterator[Cell]:
+    """Cells of all tables of arms between two headings; ``model`` is that of tables which do not name one."""
     header: list[str] = []
     section = path.read_text().split(after)[1].split(before)[0]
     for line in section.splitlines():
@@ -43,14 +46,16 @@ def _tables(path: Path, after: str, before: str) -> Iterator[Cell]:
         task, _, words = first.partition(", ")
         source = ("none", "none") if task == "scratch" else (task.strip("*"), SOURCES[words])
         primitive = "suction" if header[0].startswith("suction") else "grasp"
+        network = next((key for words, key in MODELS.items() if words in header[0]), model)
         for column, text in zip(header[1:], cells, strict=True):
-            yield Cell(f"{path.name}: {header[0]}, {first}, {column}", primitive, source, column, text)
+            yield Cell(f"{path.name}: {header[0]}, {first}, {column}", network, primitive, source, column, text)
 
 
+NETWORKS = {"vision_tasks": "fcn7", "transfer_parts": "fcn7", "off_the_shelf": "rpn_r50_fpn"}
+"""Of the experiments whose tables do not name one."""
 TABLES = {
-    "vision_tasks": [*_tables(RESULTS.with_suffix(".md"), "(`experiment=vision_tasks`)", "\n## ")],
-    "transfer_parts": [*_tables(RESULTS.with_suffix(".md"), "(`experiment=transfer_parts`)", "\n## ")],
-    "off_the_shelf": [*_tables(RESULTS.with_suffix(".md"), "(`experiment=off_the_shelf`)", "\n## ")],
+    experiment: [*_tables(RESULTS.with_suffix(".md"), f"(`experiment={experiment}`)", model=model)]
+    for experiment, model in NETWORKS.items()
 }
 
 
@@ -58,24 +63,24 @@ LEAST = {"vision_tasks": 80, "transfer_parts": 30, "off_the_shelf": 10}
 """Cells that a page with all of its tables has."""
 
 
+def _arm(row: dict[str, str]) -> tuple[str, str, tuple[str, str]]:
+    return row["model"], row["primitive"].removesuffix("_rg2"), (row["task"], row["transfer"])
+
+
 @pytest.fixture(scope="module", params=TABLES)
 def published(request: pytest.FixtureRequest) -> tuple[list[Cell], dict, dict]:
     """Cells of an experiment's tables, its arms by primitive and source, and their success by step and split."""
     assert len(TABLES[request.param]) >= LEAST[request.param]
     found = find(RESULTS / request.param)
-    arms = {(row["primitive"], (row["task"], row["transfer"])): row for row in summary.rows(found) if row["config_hash"]}
-    steps = {
-        (row["primitive"], (row["task"], row["transfer"]), row["step"], row["split"]): row
-        for bench in found.benches
-        for row in summary.progress(bench)
-    }
+    arms = {_arm(row): row for row in summary.rows(found) if row["config_hash"]}
+    steps = {(*_arm(row), row["step"], row["split"]): row for bench in found.benches for row in summary.progress(bench)}
     return TABLES[request.param], arms, steps
 
 
 def test_every_number_of_the_tables_is_in_the_committed_runs(published: tuple[list[Cell], dict, dict]) -> None:
     cells, arms, steps = published
     for cell in cells:
-        arm = arms[cell.primitive, cell.source]
+        arm = arms[cell.model, cell.primitive, cell.source]
         if cell.column.startswith("paper"):
             assert cell.text in ("", arm["paper_unseen"]), cell.place
             continue
@@ -84,7 +89,7 @@ def test_every_number_of_the_tables_is_in_the_committed_runs(published: tuple[li
         else:
             when, _, split = cell.column.partition(", ")
             step = "0" if when.startswith("before") else when.removeprefix("after ")
-            row = steps[cell.primitive, cell.source, step, split or "unseen"]
+            row = steps[cell.model, cell.primitive, cell.source, step, split or "unseen"]
         match = NUMBERS.fullmatch(cell.text)
         assert match, cell.place
         mean, low, high, successes, attempts = match.groups()
@@ -95,9 +100,9 @@ def test_every_number_of_the_tables_is_in_the_committed_runs(published: tuple[li
 
 def test_the_readme_shows_the_same_numbers() -> None:
     simulation = TABLES["transfer_parts"] + TABLES["vision_tasks"]
-    of_docs = {cell[1:4]: cell.text.split(" ")[0] for cell in simulation}
-    readme = [*_tables(ROOT / "README.md", "## What it found", "\n## ")]
+    of_docs = {cell[1:5]: cell.text.split(" ")[0] for cell in simulation}
+    readme = [*_tables(ROOT / "README.md", "## What it found", model="fcn7")]
     assert len(readme) > 20
     for cell in readme:
         column = "paper, after" if cell.column == "paper" else cell.column
-        assert cell.text == of_docs[cell.primitive, cell.source, column], cell.place
+        assert cell.text == of_docs[cell.model, cell.primitive, cell.source, column], cell.place

@@ -67,7 +67,7 @@ class FCN7(PixelNetwork):
 
         A window that ends at an edge of the input ends there for every layer, so that the padding is the same.
         """
-        x = x.contiguous(memory_format=self._layout)
+        x = self.entering(x)
         stride, coarsest = 1, False
         with self.autocast():
             for layer, reach in self._reaches():

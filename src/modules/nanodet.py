@@ -152,7 +152,7 @@ class NanoDet(PixelNetwork):
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
         """The logit of one pixel of each input: the head sees no more than it depends on."""
         with self.autocast():
-            features = self.backbone(x.contiguous(memory_format=self._layout))
+            features = self.backbone(self.entering(x))
             features, row, col = crop(features, row, col, STRIDE // self.scale, REACH)
             logits: Tensor = self.head(features)
         return logits[torch.arange(len(x), device=x.device), 0, row, col].float()

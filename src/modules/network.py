@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -18,27 +20,43 @@ TOGETHER = {"fp32": 2, "bf16": 4}
 
 
 class Normalization(nn.Module):
-    """Mean and standard deviation of the four input channels (R, G, B in 0..1, height in metres).
+    """Statistics of the four input channels (R, G, B in 0..1, height in metres).
 
-    They belong to the source model: measured on its training set, saved in its checkpoint and carried along
-    by every transfer.
+    They belong to the source model, are saved in its checkpoint and carried along by every transfer. ``mean`` and ``std``
+    (4,) are of the data that it learned from. ``average`` (4,) is of heightmaps: the pixel that stands for whatever is
+    beyond one's border. They differ only in weights that others trained on photographs, to which the mean of those, laid
+    around a turned heightmap, would be an edge.
     """
 
     mean: Tensor
     std: Tensor
+    average: Tensor
 
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("mean", torch.zeros(4))
         self.register_buffer("std", torch.ones(4))
+        self.register_buffer("average", torch.zeros(4))
 
     def set(self, mean: Float[Tensor, "4"], std: Float[Tensor, "4"]) -> None:
-        """Take over measured statistics."""
+        """Take over statistics that were measured on heightmaps."""
         self.mean.copy_(mean)
         self.std.copy_(std)
+        self.average.copy_(mean)
+
+    def centred(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 4 H W"]:
+        """In the network's units, and zero where a pixel is average."""
+        return (x - self.average[:, None, None]) / self.std[:, None, None]
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 4 H W"]:
-        return (x - self.mean[:, None, None]) / self.std[:, None, None]
+        """From :meth:`centred` to what the network learned to see: zero where a pixel is the mean."""
+        return x + ((self.average - self.mean) / self.std)[:, None, None]
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *others: Any) -> None:
+        # Models that were saved before there was an average learned from heightmaps.
+        if f"{prefix}mean" in state_dict:
+            state_dict.setdefault(f"{prefix}average", state_dict[f"{prefix}mean"])
+        super()._load_from_state_dict(state_dict, prefix, *others)
 
 
 class PixelNetwork(nn.Module):
@@ -90,10 +108,9 @@ class PixelNetwork(nn.Module):
         return TOGETHER[self._precision] if self.device.type == "cpu" else 16
 
     def prepare(self, color: UInt8[Tensor, "B H W 3"], height: Float[Tensor, "B H W"]) -> Float[Tensor, "B 4 H W"]:
-        """Normalised network input; zero is the average pixel, which is also what padding looks like."""
+        """What is turned, cut and padded before the network sees it; zero is the average pixel, which padding looks like."""
         rgb = color.permute(0, 3, 1, 2).to(height.dtype) / 255
-        x: Tensor = self.normalization(torch.cat([rgb, height[:, None]], dim=1))
-        return x
+        return self.normalization.centred(torch.cat([rgb, height[:, None]], dim=1))
 
     @torch.no_grad()
     def scale_logits(self, factor: float) -> None:
@@ -107,12 +124,17 @@ class PixelNetwork(nn.Module):
         """Computes in the precision that was chosen."""
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self._precision == "bf16")
 
+    def entering(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 4 H W"]:
+        """Prepared input as the backbone takes it."""
+        normalized: Tensor = self.normalization(x)
+        return normalized.contiguous(memory_format=self._layout)
+
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 1 H W"]:
         """Logits of prepared input, which may be of any size."""
         rows, cols = x.shape[2:]
         x = F.pad(x, (0, -cols % self.stride, 0, -rows % self.stride))
         with self.autocast():
-            logits: Tensor = self.head(self.backbone(x.contiguous(memory_format=self._layout)))
+            logits: Tensor = self.head(self.backbone(self.entering(x)))
         return logits[..., :rows, :cols].float()
 
     @torch.no_grad()

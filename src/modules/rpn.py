@@ -148,7 +148,7 @@ class RPN(PixelNetwork):
         """The logit of one pixel of each input: the widest convolutions, at the end, see no more than it depends on."""
         backbone = cast(DetectorBackbone, self.backbone)
         with self.autocast():
-            merged = backbone.merged(x.contiguous(memory_format=self._layout))
+            merged = backbone.merged(self.entering(x))
             merged, row, col = crop(merged, row, col, backbone.stride, REACH)
             logits: Tensor = self.head(backbone.smoothed(merged))
         return logits[torch.arange(len(x), device=x.device), 0, row, col].float()

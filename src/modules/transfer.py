@@ -11,6 +11,8 @@ from torch import Tensor
 PARTS = ("backbone", "head")
 ALWAYS = "normalization"
 """The statistics of the source's data go wherever its parameters go."""
+AVERAGE = "normalization.average"
+"""Of heightmaps, so weights that others trained have none, and the network keeps what was measured here."""
 SHOWN = 5
 
 
@@ -54,7 +56,7 @@ def copy_parts(
         source: State dict of a :class:`PixelNetwork`; may be empty if there are no ``parts``.
         network: Changed in place, after every check has passed.
         parts: Any of ``backbone`` and ``head``.
-        optional: Beginnings of keys that the source need not have; they stay at their initialisation.
+        optional: Beginnings of keys that the source need not have; they stay as they are, like ``AVERAGE``.
         zero: The same, but they become zero: what they see adds nothing until something is learned.
 
     Raises:
@@ -67,7 +69,7 @@ def copy_parts(
         return report
     wanted = {key for key in target if key.split(".")[0] in (*parts, ALWAYS)}
     for part in parts:
-        _check(source, target, part, (*optional, *zero))
+        _check(source, target, part, (*optional, *zero, AVERAGE))
     for key, value in target.items():
         if key in wanted and key in source:
             value.copy_(source[key])

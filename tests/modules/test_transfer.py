@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 from see2act.modules.fcn7 import FCN7
-from see2act.modules.transfer import TransferError, copy_parts
+from see2act.modules.rotation import Rotations
+from see2act.modules.transfer import AVERAGE, TransferError, copy_parts
 
 
 def _network(seed: int, width: int = 4) -> FCN7:
@@ -41,6 +42,21 @@ def test_a_full_transfer_gives_the_source_s_output() -> None:
     copy_parts(source.state_dict(), target, ["backbone", "head"])
     x = torch.randn(1, 4, 32, 32)
     assert torch.equal(source(x), target(x))
+
+
+def test_beyond_a_turned_heightmap_lies_the_average_pixel_whatever_the_weights_learned_from() -> None:
+    photographs = {key: value for key, value in _network(1).state_dict().items() if key != AVERAGE}
+    network = _network(2)
+    report = copy_parts(photographs, network, ["backbone", "head"])
+    assert list(report.left_at_initialisation) == [AVERAGE]
+    network.normalization.average.copy_(torch.tensor([51 / 255, 102 / 255, 153 / 255, 0.03]))
+    color = torch.tensor([51, 102, 153], dtype=torch.uint8).expand(1, 32, 32, 3)
+    prepared = network.prepare(color, torch.full((1, 32, 32), 0.03))
+    rotations = Rotations((32, 32), 4, network.stride, network.reach)
+    seen = network.entering(rotations.turned(prepared, torch.tensor([1])))
+    assert seen.shape[2] > 32  # with room beyond the corners
+    expected = (network.normalization.average - network.normalization.mean) / network.normalization.std
+    torch.testing.assert_close(seen, expected[:, None, None].expand_as(seen))
 
 
 def test_another_width_is_refused_with_keys_and_shapes() -> None:
