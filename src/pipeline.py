@@ -31,7 +31,7 @@ from see2act.evaluation import SPLITS, Counts, Protocol, TestRun, evaluate
 from see2act.files import read_json, replacing, write_json
 from see2act.modules import weights
 from see2act.modules.affordance import AffordanceModule
-from see2act.modules.batchnorm import batchnorms, estimate
+from see2act.modules.batchnorm import batchnorms, epsilons, estimate
 from see2act.modules.network import PixelNetwork
 from see2act.modules.precision import average_precision
 from see2act.modules.transfer import TransferError, TransferReport, copy_parts
@@ -107,6 +107,11 @@ class Run:
         if self.cfg.task.weights or self.cfg.task.off_the_shelf:
             network = self._network(0)
             self._copy(self._given(network.normalization.mean, network.normalization.std), network)
+            if self.cfg.finetune.batchnorm == "batch" and any(float(e) == 0 for e in epsilons(network)):
+                raise TransferError(
+                    "the BatchNorm of these weights has an epsilon of 0, since their detector froze it or folded it into its "
+                    "convolutions, and cannot use the statistics of batches: leave finetune.batchnorm=frozen"
+                )
 
     def collect(self) -> Collection:
         """Observations of random interaction, from the cache or made now."""

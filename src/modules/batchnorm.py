@@ -32,6 +32,11 @@ def batchnorms(network: nn.Module) -> dict[str, nn.BatchNorm2d]:
     return {name: m for name, m in network.named_modules() if isinstance(m, nn.BatchNorm2d)}
 
 
+def epsilons(network: nn.Module) -> list[Tensor]:
+    """Of every layer whose epsilon came with its weights."""
+    return [layer.epsilon for layer in batchnorms(network).values() if isinstance(layer, BatchNorm)]
+
+
 def freeze(network: nn.Module) -> None:
     """Use the running statistics and leave them alone, whatever mode the rest is in."""
     for layer in batchnorms(network).values():

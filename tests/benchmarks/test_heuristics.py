@@ -27,7 +27,9 @@ def test_jaws_close_across_a_bar_and_in_its_middle(turn: float, best: int) -> No
     assert abs((angle - best + 8) % 16 - 8) <= 1
     across = np.radians(turn + 90)
     off = abs((col - 90) * np.cos(across) - (row - 60) * np.sin(across))
+    along = abs((col - 90) * np.sin(across) + (row - 60) * np.cos(across))
     assert off * PIXEL < 0.004
+    assert along * PIXEL < 0.01
     assert height[row, col] > 0
     assert scores[(best + 8) % 16].max() < 0, "along the bar the jaws are too narrow"
 

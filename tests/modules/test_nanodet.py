@@ -131,8 +131,7 @@ def test_learning_sees_what_deciding_sees() -> None:
     assert AffordanceModule(network, (144, 144), 16, 1e-4, 1e-4, 0.0, "frozen", 0.9).rotations.canvases == 16 * [(208, 208)]
 
 
-def test_a_new_network_knows_nothing_anywhere() -> None:
-    """The highest of 80 scores must not make a saliency of their noise."""
+def test_a_new_network_is_unsure_everywhere() -> None:
     torch.manual_seed(0)
     scores = torch.sigmoid(NanoDet().eval()(torch.randn(1, 4, 144, 144)))
     assert scores.std() < 0.05
@@ -230,6 +229,10 @@ def test_make_coco_gets_checks_and_converts(graph: Path, tmp_path: Path, monkeyp
         NanoDetWeights().read(None, tmp_path / "cache")["head.conv.conv.weight"],
         from_tfjs(tfjs.read(graph))["head.conv.conv.weight"],
     )
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr(sys, "argv", ["coco", "--cache", str(tmp_path / "file")])
+    with pytest.raises(SystemExit, match=r"make coco: .*Not a directory.*choose another folder with --cache"):
+        coco.main()
     monkeypatch.setattr(coco, "_packed", lambda folder: pytest.fail("got again"))
     assert coco.get(tmp_path / "cache") == path
 

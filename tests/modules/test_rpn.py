@@ -304,6 +304,14 @@ def test_without_a_network_the_mend_is_named(monkeypatch: pytest.MonkeyPatch, tm
         SHELF["coco"].read(None, tmp_path)
 
 
+def test_a_detector_that_torchvision_does_not_have_is_refused(tmp_path: Path) -> None:
+    shelf = replace(SHELF["coco"], weights="fasterrcnn_resnet18_fpn.COCO_V1")
+    with pytest.raises(TransferError, match=r"has no fasterrcnn_resnet18_fpn.*resnet50 or mobilenet_v3_large"):
+        shelf.read(None, tmp_path)
+    with pytest.raises(ValueError, match=r"model\.backbone=resnet is unknown"):
+        RPN("resnet")
+
+
 def test_keys_of_this_project_stay_as_they_are() -> None:
     state = RPN("resnet18").state_dict()
     assert set(to_our_keys(state)) == set(state)

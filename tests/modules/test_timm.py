@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,17 @@ def test_a_heatmap_moves_with_its_input(backbone: str) -> None:
     assert network(x)[middle].std() > 0
     # Not to the last bit: the edges of the image are within reach.
     assert (network(x)[middle] - there[middle]).abs().max() < 0.05 * network(x)[middle].std()
+
+
+@pytest.mark.parametrize("backbone", ["resnet18", "tf_efficientnet_lite0", "convnext_atto"])
+def test_a_logit_looks_at_the_surroundings_of_its_pixel(backbone: str) -> None:
+    """To all sides alike, within two of 144 pixels: features of TensorFlow's padding lie six beside."""
+    torch.manual_seed(0)
+    network = TimmFPN(backbone, scale=2).eval()
+    x = torch.randn(1, 4, 144, 144, requires_grad=True)
+    seen = torch.autograd.grad(network(x)[..., 72, 72].sum(), x)[0].abs().sum((0, 1))
+    middle = [float((part * torch.arange(144)).sum() / part.sum()) for part in (seen.sum(0), seen.sum(1))]
+    assert middle == pytest.approx([72, 72], abs=2)
 
 
 @pytest.mark.parametrize("backbone", [RESNET, "test_vit"])
@@ -133,10 +145,14 @@ def test_a_file_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     state = _saved(RESNET, file)
     with pytest.raises(TransferError, match="test_convnext"):
         TimmWeights("test_convnext", "early").read(str(file), tmp_path)
-    del state["layer2.0.conv1.weight"]
-    torch.save(state, file)
-    with pytest.raises(TransferError, match=r"has no layer2\.0\.conv1\.weight"):
-        TimmWeights(RESNET, "early").read(str(file), tmp_path)
+    for lacking in ("layer2.0.conv1.weight", "layer2.0.bn1.running_var"):
+        torch.save({key: value for key, value in state.items() if key != lacking}, file)
+        with pytest.raises(TransferError, match=f"has no {re.escape(lacking)}"):
+            TimmWeights(RESNET, "early").read(str(file), tmp_path)
+    _saved(vit := "test_vit", file)
+    torch.save({key: value for key, value in torch.load(file).items() if key != "blocks.1.norm1.bias"}, file)
+    with pytest.raises(TransferError, match=r"has no blocks\.1\.norm1\.bias"):
+        TimmWeights(vit, "early").read(str(file), tmp_path)
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(TransferError, match="cannot be read"):
         TimmWeights(RESNET, "early").read(str(file), tmp_path)
