@@ -121,7 +121,7 @@ class Head(nn.Module):
         self.factor = STRIDE / scale
         self.conv = Convolution(PYRAMID_CHANNELS, PYRAMID_CHANNELS)
         self.logits = Logits(PYRAMID_CHANNELS, CLASSES, 1)
-        self.logits.start_unsure()  # so that the highest of 80 is none of their noise
+        self.logits.start_unsure()  # the highest of 80 follows the length of the features all the same: docs/differences.md, 8
 
     def forward(self, x: Float[Tensor, "B 128 h w"]) -> Float[Tensor, "B 1 H W"]:
         return enlarged(self.logits(self.conv(x)).amax(1, keepdim=True), self.factor)
