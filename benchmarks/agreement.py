@@ -10,14 +10,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-from see2act import build
-from see2act.config import composed
-from see2act.evaluation import SPLITS, Protocol, evaluate
-from see2act.pipeline import Run
-from see2act.statistics import difference_interval
 
 from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 from benchmarks.loop import SOURCES
+from see2act.analysis.intervals import difference_interval
+from see2act.experiment import build
+from see2act.experiment.config import composed
+from see2act.experiment.evaluation import SPLITS, Protocol, evaluate
+from see2act.experiment.pipeline import Run
 
 SETTINGS = {
     "as the benchmark runs": [],

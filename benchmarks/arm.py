@@ -6,8 +6,8 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from see2act import build
-from see2act.config import composed
+from see2act.experiment import build
+from see2act.experiment.config import composed
 from see2act.robot.arm import JOINTS, pointing_down
 from see2act.robot.robot import LIFT, SimulatedRobot
 from see2act.robot.types import Pick

@@ -17,10 +17,12 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
-from see2act.checks import validate
-from see2act.config import ConfigError, composed
-from see2act.files import write_json
 from tqdm import tqdm
+
+from see2act.errors import ConfigError
+from see2act.experiment.checks import validate
+from see2act.experiment.config import composed
+from see2act.files import write_json
 
 PRIMITIVES = ("suction", "grasp")
 Work = Callable[[], Any]

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import torch
 from scipy.special import expit
-from see2act import build, trained
-from see2act.config import composed
-from see2act.demo import MODELS
-from see2act.evaluation import SPLITS, scene_seed
-from see2act.modules.affordance import affordances
-from see2act.modules.rotation import Rotations
-from see2act.statistics import wilson
 
 from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
+from see2act.commands.demo import MODELS
+from see2act.experiment import build, trained
+from see2act.experiment.config import composed
+from see2act.experiment.evaluation import SPLITS, scene_seed
+from see2act.experiment.results import wilson
+from see2act.modules.affordance import affordances
+from see2act.modules.rotation import Rotations
 
 LOOKS = 10
 """Observations of a scene, which differ by the sensor's noise."""

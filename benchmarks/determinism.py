@@ -14,8 +14,8 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
-from see2act import build
-from see2act.config import composed
+from see2act.experiment import build
+from see2act.experiment.config import composed
 from see2act.seeding import generator, seed_for
 
 from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, pool_of

@@ -15,9 +15,9 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from see2act.config import composed
+from see2act.commands.train import run
+from see2act.experiment.config import composed
 from see2act.files import read_json
-from see2act.main import run
 from see2act.modules.affordance import AffordanceModule
 
 from benchmarks.common import PRIMITIVES, Work, timed

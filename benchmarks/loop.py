@@ -17,16 +17,16 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from see2act import attempts_csv, build
-from see2act.attempts_csv import AttemptsCsv
-from see2act.config import composed
 from see2act.datamodules.collect import Collection
 from see2act.datamodules.replay import Replay
 from see2act.datamodules.vision import VisionDataModule
+from see2act.experiment import attempts_csv, build
+from see2act.experiment.attempts_csv import AttemptsCsv
+from see2act.experiment.config import composed
+from see2act.experiment.pipeline import Run
+from see2act.experiment.quiet import quiet
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.vision import VisionModule
-from see2act.pipeline import Run
-from see2act.quiet import quiet
 from see2act.seeding import generator, seed_for
 
 from benchmarks.common import faster, limit, measured, overhead, timed

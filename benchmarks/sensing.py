@@ -12,9 +12,9 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from see2act import build
-from see2act.config import composed
-from see2act.evaluation import SPLITS
+from see2act.experiment import build
+from see2act.experiment.config import composed
+from see2act.experiment.evaluation import SPLITS
 from see2act.robot.oracle import ExactHeights, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Pick

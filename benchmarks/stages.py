@@ -15,14 +15,14 @@ import torch
 import torch.nn.functional as F
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from see2act import build
-from see2act.config import composed
 from see2act.datamodules.replay import Replay
-from see2act.evaluation import scene_seed
+from see2act.experiment import build
+from see2act.experiment.config import composed
+from see2act.experiment.evaluation import scene_seed
+from see2act.experiment.processor import computes_bf16
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.network import PRECISIONS, PixelNetwork
-from see2act.processor import computes_bf16
 from see2act.robot.robot import SimulatedRobot
 from see2act.seeding import generator
 from torch import Tensor

@@ -34,7 +34,7 @@ def rows(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
 def _sweep(folder: Path, cache: Path, workers: int, jobs: int, overrides: list[str]) -> None:
     folder.mkdir()
     seeds = ",".join(map(str, range(jobs)))
-    command = [sys.executable, "-c", "from see2act.main import main; main()", "-m", f"seed={seeds}", *SMALL]
+    command = [sys.executable, "-c", "from see2act.commands.train import main; main()", "-m", f"seed={seeds}", *SMALL]
     command += [f"hydra.launcher.n_jobs={workers}", f"paths.cache={cache}", *overrides]
     ended = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     done = len(list(folder.rglob("result.json")))

@@ -15,21 +15,21 @@ from typing import Any
 
 import numpy as np
 import torch
-from see2act import build, trained
+
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, parsed, show, spread
+from benchmarks.heuristics import heuristic
 from see2act.attempt import Affordances
-from see2act.config import composed
-from see2act.demo import MODELS
-from see2act.evaluation import SPLITS, one_test_run, scene_seed
+from see2act.commands.demo import MODELS
+from see2act.experiment import build, trained
+from see2act.experiment.config import composed
+from see2act.experiment.evaluation import SPLITS, one_test_run, scene_seed
+from see2act.experiment.results import wilson
 from see2act.files import write_json
 from see2act.policy import Policy
 from see2act.robot.oracle import ExactHeights, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Split
 from see2act.seeding import generator
-from see2act.statistics import wilson
-
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, parsed, show, spread
-from benchmarks.heuristics import heuristic
 
 TARGETS = {("oracle", "suction"): 0.95, ("oracle", "grasp"): 0.92, ("random", "suction"): 0.15, ("random", "grasp"): 0.20}
 """The oracle at least, a random pixel at most."""

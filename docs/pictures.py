@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from matplotlib import colormaps
 from omegaconf import DictConfig
-from see2act import build
-from see2act.config import composed
+from see2act.experiment import build
+from see2act.experiment.config import composed
 from see2act.robot.oracle import oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.video import BYSTANDER

@@ -13,9 +13,9 @@ from typing import Any, get_args
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from see2act import build
-from see2act.checks import validate
-from see2act.config import composed
+from see2act.experiment import build
+from see2act.experiment.checks import validate
+from see2act.experiment.config import composed
 from see2act.robot.types import Observation, Split
 
 NAME = "see2act/BinPicking-v1"

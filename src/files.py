@@ -9,9 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-
-class DamagedFile(ValueError):
-    """A file that is not what this project wrote; the message is one line and names the mend."""
+from see2act.errors import DamagedFile
 
 
 def writable(folder: Path) -> bool:

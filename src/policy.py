@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 from scipy.special import expit
-from see2act.config import DIVERGED, ConfigError
+
+from see2act.errors import DivergedError
 from see2act.robot.types import Heightmap
 
 
@@ -91,10 +92,10 @@ class Policy:
         looks elsewhere.
 
         Raises:
-            ConfigError: A logit is not finite.
+            DivergedError: A logit is not finite.
         """
         if not np.isfinite(logits).all():
-            raise ConfigError(f"affordances are not finite: {DIVERGED}")
+            raise DivergedError("affordances are not finite")
         allowed = self._allowed(logits.shape, heightmap)
         masked = np.where(allowed, logits, -np.inf)
         best = int(masked.argmax())

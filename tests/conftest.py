@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import pytest
 import torch
 from omegaconf import DictConfig
-from see2act import build
-from see2act.config import composed
+from see2act.experiment import build
+from see2act.experiment.config import composed
 from see2act.robot.robot import SimulatedRobot
 
 # As many tests run at once as there are cores. Threads of torch that find no free core wait for each other, busily.

@@ -13,7 +13,8 @@ from gymnasium.utils.env_checker import check_env
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
-from see2act.config import ConfigError
+
+from see2act.errors import ConfigError
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "gymnasium_example.py"
 ENVIRONMENT = "see2act.environment:see2act/BinPicking-v1"

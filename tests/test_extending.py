@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from see2act.cache import foreign_code
-from see2act.config import composed
+from see2act.experiment.cache import foreign_code
+from see2act.experiment.config import composed
 
 HERE = Path(__file__).parents[1]
 EXAMPLES = HERE / "docs" / "extending"

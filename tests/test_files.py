@@ -5,8 +5,8 @@ import time
 from pathlib import Path
 
 import pytest
-from see2act import cache
-from see2act.cache import once
+from see2act.experiment import cache
+from see2act.experiment.cache import once
 from see2act.files import replacing, sweep_up, write_json
 
 

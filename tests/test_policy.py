@@ -5,8 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.special import logit
-from see2act import build
-from see2act.config import ConfigError, composed
+
+from see2act.errors import DivergedError
+from see2act.experiment import build
+from see2act.experiment.config import composed
 from see2act.policy import Policy, room_between_walls
 from see2act.robot.types import Heightmap
 
@@ -152,7 +154,7 @@ def test_a_network_that_has_diverged_does_not_pick(flat: Heightmap) -> None:
     maps = np.zeros((1, 40, 40))
     maps[0, 3, 4] = np.nan
     for temperature in (0.0, 0.02):
-        with pytest.raises(ConfigError, match=r"the network has diverged: lower finetune\.backbone_lr"):
+        with pytest.raises(DivergedError, match=r"the network has diverged: lower finetune\.backbone_lr"):
             Policy("argmax", False, 0.0025).choose(maps, flat, temperature, np.random.default_rng(0))
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from see2act.report import summary
-from see2act.report.benches import find
+from see2act.analysis import summary
+from see2act.analysis.benches import find
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"

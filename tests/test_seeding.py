@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 from see2act.datamodules.collect import _scenes
-from see2act.evaluation import SPLITS, scene_seed
+from see2act.experiment.evaluation import SPLITS, scene_seed
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick
 from see2act.robot.workspace import Workspace

@@ -11,8 +11,10 @@ from statistics import fmean
 from typing import Any
 
 import lightning as L
+from torch import Tensor
+from tqdm import tqdm
+
 from see2act.attempt import Affordances, Attempt, decide
-from see2act.attempts_csv import AttemptsCsv
 from see2act.datamodules.replay import Replay
 from see2act.files import replacing
 from see2act.policy import Choice, Policy
@@ -20,8 +22,6 @@ from see2act.robot.group import RobotGroup
 from see2act.robot.types import Pick
 from see2act.robot.workspace import Workspace
 from see2act.seeding import generator, seed_for
-from torch import Tensor
-from tqdm import tqdm
 
 RECENT = 20
 """Attempts over which the log's success rate is taken."""
@@ -203,7 +203,7 @@ class TrialAndError(L.Callback):
     Args:
         data: The datamodule.
         attempts: How many there will be.
-        log: Where attempts are recorded.
+        record: Called with each attempt, the seconds of learning it took, and where it belongs in the log.
         checkpoint: Written whenever an episode ends.
         evaluate_at: Attempts after which ``evaluate`` is called with the number of attempts.
         evaluate: Measures the present model; must not touch the datamodule's robot or generators.
@@ -214,13 +214,13 @@ class TrialAndError(L.Callback):
         self,
         data: InteractiveDataModule,
         attempts: int,
-        log: AttemptsCsv,
+        record: Callable[..., object],
         checkpoint: Path,
         evaluate_at: list[int],
         evaluate: Callable[[int], None],
         primitive: str,
     ):
-        self._data, self._attempts, self._log = data, attempts, log
+        self._data, self._attempts, self._record = data, attempts, record
         self._checkpoint, self._evaluate_at, self._evaluate = checkpoint, evaluate_at, evaluate
         self._primitive = primitive
 
@@ -238,7 +238,7 @@ class TrialAndError(L.Callback):
         data, results = self._data, self._data.last
         t_learn = (time.perf_counter() - self._learning_since) / len(results)
         for step, (result, episode) in enumerate(results, data.attempts - len(results) + 1):
-            self._log.append(
+            self._record(
                 result,
                 t_learn,
                 phase="finetune",

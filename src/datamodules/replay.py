@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
-from see2act.config import DIVERGED, ConfigError
-from see2act.modules.tint import tints
 from torch import Tensor
+
+from see2act.errors import DivergedError
+from see2act.modules.tint import tints
 
 COLUMNS = ("angle", "row", "col", "label")
 HEIGHT_STEP = 1e-4
@@ -79,7 +80,7 @@ class Replay:
         col int64, label and weight float32, mirror (B, 2) bool, turn (B,), shift (B, 2) and tint (B, 3, 4) float32.
 
         Raises:
-            ConfigError: Priorities are not finite and positive, since the network has diverged.
+            DivergedError: Priorities are not finite and positive, since the network has diverged.
         """
         drawn = self._priorities.draw(size, self._rng)
         drawn[0] = len(self) - 1
@@ -189,7 +190,7 @@ class _Priorities:
         """Indices, with replacement."""
         upto = np.cumsum(self._sums)
         if not 0 < upto[-1] < np.inf:
-            raise ConfigError(f"replay priorities are not finite and positive: {DIVERGED}")
+            raise DivergedError("replay priorities are not finite and positive")
         target = rng.random(size) * upto[-1]
         blocks = np.searchsorted(upto, target, side="right").clip(0, (self._count - 1) // BLOCK)
         drawn = np.empty(size, int)

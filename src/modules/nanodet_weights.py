@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
+
+from see2act.errors import MissingWeights, TransferError
 from see2act.modules import weights
 from see2act.modules.nanodet import CLASSES, NanoDet
-from see2act.modules.transfer import TransferError
-from torch import Tensor
 
 FILE = Path("weights", "nanodet_g_coco.safetensors")
 """In the cache, where ``make coco`` puts it."""
@@ -42,7 +43,7 @@ class NanoDetWeights:
         """
         path = Path(file) if file else cache / FILE
         if not file and not path.exists():
-            raise weights.NotDownloaded(
+            raise MissingWeights(
                 f"{path} is not here: get NanoDet-g's COCO weights with make coco, or name upstream's checkpoint with "
                 "task.weights=FILE"
             )

@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-from see2act.modules.transfer import TransferError
+
+from see2act.errors import TransferError
 
 DTYPES = {"float32": "<f4", "float16": "<f2", "int32": "<i4"}
 

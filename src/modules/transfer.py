@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
-from see2act.modules.network import PixelNetwork
 from torch import Tensor
+
+from see2act.errors import TransferError
+from see2act.modules.network import PixelNetwork
 
 PARTS = ("backbone", "head")
 ALWAYS = "normalization"
@@ -14,10 +16,6 @@ ALWAYS = "normalization"
 AVERAGE = "normalization.average"
 """Of heightmaps, so weights that others trained have none, and the network keeps what was measured here."""
 SHOWN = 5
-
-
-class TransferError(ValueError):
-    """A source that does not fit; the message names the keys and the mend."""
 
 
 @dataclass

@@ -13,16 +13,13 @@ import torch
 import torchvision
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from see2act.modules.transfer import TransferError
 from torch import Tensor
+
+from see2act.errors import MissingWeights, TransferError
 
 OLD_FPN = re.compile(r"^(backbone\.fpn\.(?:inner|layer)_blocks\.\d)\.(weight|bias)$")
 OLD_HEAD = re.compile(r"^head\.conv\.(weight|bias)$")
 """Keys of torchvision's older detectors, which lack the index of the convolution in its block."""
-
-
-class NotDownloaded(TransferError):
-    """Weights that are neither on this machine nor within its reach."""
 
 
 class OffTheShelf(Protocol):
@@ -39,7 +36,7 @@ class OffTheShelf(Protocol):
 
         Raises:
             TransferError: The file cannot be read, or holds another network.
-            NotDownloaded: None was named, and none is on this machine or can be got.
+            MissingWeights: None was named, and none is on this machine or can be got.
         """
 
 
@@ -84,7 +81,7 @@ class Torchvision:
             state: Mapping[str, Tensor] = weights.get_state_dict(progress=False, check_hash=True)
         except (OSError, RuntimeError) as error:
             name = weights.url.rsplit("/", 1)[1]
-            raise NotDownloaded(
+            raise MissingWeights(
                 f"{self.weights} cannot be downloaded here ({error}): bring {name} from another machine and put it into "
                 f"{Path(torch.hub.get_dir()) / 'checkpoints'}, or name it with task.weights=FILE"
             ) from None

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
+
+from see2act.errors import UserError
 from see2act.robot.heightmap import point_cloud
 from see2act.robot.workspace import Workspace
 from see2act.seeding import generator
@@ -30,7 +32,7 @@ LARGEST = 4e5
 """Pixels of the largest heightmap: 1.6 m by 1.6 m at 2.5 mm."""
 
 
-class ImageError(ValueError):
+class ImageError(UserError, ValueError):
     """An image, a calibration or bounds that nothing can be predicted from; the message is one line and names the mend."""
 
 

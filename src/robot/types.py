@@ -8,11 +8,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from see2act.errors import UserError
+
 Split = Literal["seen", "unseen"]
 Cause = Literal["ok", "missed", "collision", "slipped", "no_seal", "wall", "unreachable"]
 
 
-class RobotError(ValueError):
+class RobotError(UserError, ValueError):
     """Something a user asked of the robot that it cannot do; the message names the mend."""
 
 

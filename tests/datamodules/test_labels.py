@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy import ndimage
-from see2act import build
 from see2act.datamodules.labels import View, plane_fit
+from see2act.experiment import build
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Heightmap
 

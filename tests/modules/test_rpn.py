@@ -13,12 +13,6 @@ import pytest
 import torch
 from hydra.utils import instantiate
 from safetensors.torch import save_file
-from see2act.config import composed
-from see2act.modules.affordance import AffordanceModule
-from see2act.modules.batchnorm import batchnorms
-from see2act.modules.rpn import MOBILENET, RPN, enlarged
-from see2act.modules.transfer import AVERAGE, TransferError, copy_parts
-from see2act.modules.weights import Torchvision, read, to_our_keys
 from torch import Tensor
 from torchvision.models import mobilenet_v3_large, resnet18, resnet50
 from torchvision.models.detection import FasterRCNN, fasterrcnn_resnet50_fpn
@@ -26,6 +20,14 @@ from torchvision.models.detection._utils import overwrite_eps
 from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.backbone_utils import _mobilenet_extractor, _resnet_fpn_extractor
 from torchvision.ops import FrozenBatchNorm2d
+
+from see2act.errors import TransferError
+from see2act.experiment.config import composed
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.batchnorm import batchnorms
+from see2act.modules.rpn import MOBILENET, RPN, enlarged
+from see2act.modules.transfer import AVERAGE, copy_parts
+from see2act.modules.weights import Torchvision, read, to_our_keys
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 SHELF = {"coco": Torchvision("fasterrcnn_resnet50_fpn.COCO_V1", MEAN, STD, 0.0)}

@@ -9,12 +9,13 @@ import pytest
 import timm
 import torch
 from safetensors.torch import save_file
+from torch import Tensor
+
+from see2act.errors import MissingWeights, TransferError
 from see2act.modules.timm_fpn import TimmFPN
 from see2act.modules.timm_weights import LITE0, TimmWeights, from_lite0
-from see2act.modules.transfer import TransferError, copy_parts
+from see2act.modules.transfer import copy_parts
 from see2act.modules.vision import VisionModule
-from see2act.modules.weights import NotDownloaded
-from torch import Tensor
 
 RESNET = "test_resnet"
 """timm's own models for tests have the parts of their families, and are small."""
@@ -163,7 +164,7 @@ def test_weights_that_cannot_be_had_are_told_in_a_line(tmp_path: Path, monkeypat
         raise OSError("no network")
 
     monkeypatch.setattr("timm.models._builder.load_state_dict_from_hf", unreachable)
-    with pytest.raises(NotDownloaded, match=r"\(no network\).*task\.weights=FILE"):
+    with pytest.raises(MissingWeights, match=r"\(no network\).*task\.weights=FILE"):
         TimmWeights(RESNET, "early").read(None, tmp_path)
 
 

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import pytest
 import torch
+
+from see2act.errors import TransferError
 from see2act.modules.fcn7 import FCN7
 from see2act.modules.rotation import Rotations
-from see2act.modules.transfer import AVERAGE, TransferError, copy_parts
+from see2act.modules.transfer import AVERAGE, copy_parts
 
 
 def _network(seed: int, width: int = 4) -> FCN7:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import lightning as L
 import pytest
 import torch
-from see2act.config import composed
+from see2act.experiment.config import composed
 from see2act.modules.fcn7 import FCN7
 from see2act.modules.rpn import RPN
 from see2act.modules.vision import VisionModule

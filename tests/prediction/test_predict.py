@@ -17,15 +17,15 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from safetensors.torch import load_file, save_file
-from see2act import trained
+from see2act.commands.predict import _read, main
+from see2act.experiment import trained
+from see2act.experiment.trained import ModelFileError, TrainedModel
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.network import PixelNetwork
-from see2act.prediction.main import _read, main
 from see2act.prediction.picture import _direction_in_image
 from see2act.prediction.view import HALF, ImageError, _workspace, floor_pose
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Observation
-from see2act.trained import ModelFileError, TrainedModel
 from torch import nn
 
 BOUNDS = (-0.18, -0.18, 0.18, 0.18)

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from omegaconf import DictConfig
-from see2act.build import check_parts
-from see2act.checks import validate
-from see2act.config import ConfigError
+
+from see2act.errors import ConfigError
+from see2act.experiment.build import check_parts
+from see2act.experiment.checks import validate
 from see2act.robot.floors import MATERIALS, floor_picture
 from see2act.robot.objects import shape
 from see2act.robot.robot import SimulatedRobot

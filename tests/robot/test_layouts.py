@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from see2act import build
-from see2act.files import DamagedFile
+
+from see2act.errors import DamagedFile
+from see2act.experiment import build
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 from hydra.utils import instantiate
-from see2act import results
 from see2act.datamodules.labels import plane_fit
+from see2act.experiment import results
 from see2act.robot import objects
 from see2act.robot.household import HOUSEHOLD
 from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape

@@ -1,0 +1,61 @@
+"""What a report is made from, small enough for a repository."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from see2act.analysis import page
+from see2act.analysis.benches import Found
+from see2act.analysis.runs import attempts_of
+from see2act.errors import UserError
+from see2act.files import read_json, replacing
+
+SMALL = ("result.json", ".hydra/config.yaml", ".hydra/overrides.yaml")
+
+
+def keep(found: Found, folder: Path) -> None:
+    """Copy finished runs to ``folder``, so that a report of it has the same tables and figures.
+
+    Of each run: result, configuration and compressed attempts. Of each arm: the pictures of the run that the report shows.
+    Checkpoints and logs stay behind. Runs that ``folder`` has already are left as they are, so a sweep may be kept again
+    as it goes on, and one that was repeated may be compared with what was kept.
+
+    Raises:
+        UserError: ``folder`` has a run with other outcomes at the same place.
+    """
+    for run in found.runs:
+        kept = folder / run.place / "result.json"
+        if kept.exists() and _outcome(read_json(kept)) != _outcome(run.result):
+            raise UserError(f"{kept.parent} holds another run than {run.folder}: move it away, or give another folder")
+    pictured = {page.shown(arm).folder for bench in found.benches for arm in bench.arms}
+    for run in tqdm(found.runs, desc="keep", disable=None):
+        place = folder / run.place
+        if run.folder in pictured:
+            for name, image in page.thumbnails(run).items():
+                _write(place / "figures" / f"{name}.jpg", image)
+        if run.attempts and (path := attempts_of(run.folder)):
+            _write(place / "attempts.csv.gz", _packed(path))
+        for name in reversed(SMALL):  # the result last: it means done
+            if (run.folder / name).is_file():
+                _write(place / name, (run.folder / name).read_bytes())
+
+
+def _outcome(result: dict[str, Any]) -> dict[str, Any]:
+    """All but how long it took, and by which of several commits with the same code."""
+    return {key: value for key, value in result.items() if key not in ("seconds", "evaluation_share", "commit")}
+
+
+def _packed(path: Path) -> bytes:
+    return path.read_bytes() if path.suffix == ".gz" else gzip.compress(path.read_bytes(), mtime=0)
+
+
+def _write(path: Path, data: bytes) -> None:
+    if path.exists():
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as partial:
+        partial.write_bytes(data)

@@ -1,0 +1,361 @@
+"""The figures of a report, one bench at a time."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from see2act.analysis.benches import ENOUGH, Arm, Bench
+from see2act.analysis.intervals import mean_interval
+from see2act.analysis.runs import SPLITS, rate
+from see2act.analysis.summary import published_for, rates
+from see2act.experiment.results import BLOCK
+from see2act.files import replacing
+
+COLORS = {
+    **{"none": "#4d4d4d", "normal": "#0072b2", "center": "#e69f00", "corner": "#009e73", "edge": "#d55e00"},
+    **{"foreground": "#cc79a7", "imagenet": "#56b4e9", "coco": "#7b5c3e"},
+}
+"""Okabe and Ito's palette, which colour-blind readers can tell apart; grey for the baseline."""
+OTHER_COLOR = "#8a8a2e"
+LINES = {"none": "-", "full": "-", "backbone": "--", "fixed": ":"}
+MARKERS = {"none": "o", "full": "o", "backbone": "s", "fixed": "D"}
+CAUSES = {
+    **{"missed": "#b3b3b3", "no_seal": "#56b4e9", "slipped": "#e69f00", "collision": "#d55e00"},
+    **{"wall": "#7b5c3e", "unreachable": "#4d4d4d", "ok": "#009e73"},
+}
+"""Colours; what is called ``ok`` here was held, and not sensed."""
+STYLE: dict[Any, Any] = {
+    **{"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True},
+    **{"grid.alpha": 0.25, "axes.axisbelow": True, "legend.frameon": False, "legend.fontsize": 8, "figure.facecolor": "white"},
+    **{"svg.hashsalt": "see2act"},  # the same runs give the same file
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure that was written."""
+
+    path: Path
+    """Of the PNG; the SVG is beside it."""
+    width: float
+    """Inches."""
+    title: str
+    caption: str
+    alt: str
+
+
+def clear(folder: Path, drawn: Iterable[Picture]) -> None:
+    """Remove figures of an earlier report which this one has not drawn anew: they may be of other runs."""
+    kept = {picture.path.stem for picture in drawn}
+    name = re.compile(rf"({'|'.join(kind for kind, *_ in FIGURES)})-[a-z0-9_]+(-\d+)?")
+    for path in [*folder.glob("*.png"), *folder.glob("*.svg")]:
+        if name.fullmatch(path.stem) and path.stem not in kept:
+            path.unlink()
+
+
+def draw(bench: Bench, folder: Path) -> Iterator[Picture]:
+    """Write all figures of a bench, one by one."""
+    for kind, title, plot in FIGURES:
+        with plt.rc_context(STYLE):
+            drawn = plot(bench)
+            if drawn is None:
+                continue
+            figure, caption, alt = drawn
+            path = folder / f"{kind}-{bench.slug}.png"
+            for suffix, options in ((".png", {"dpi": 150}), (".svg", {"metadata": {"Date": None}})):
+                with replacing(path.with_suffix(suffix)) as partial:
+                    figure.savefig(partial, format=suffix[1:], **options)
+            plt.close(figure)
+        yield Picture(path, figure.get_figwidth(), f"{title}: {bench.name}", caption, alt)
+
+
+Drawn = tuple[Figure, str, str] | None
+"""A figure, its caption, and a text that stands for it; None where there is nothing to draw."""
+
+
+def curves(bench: Bench) -> Drawn:
+    """Success while learning, over attempts and over the robot's minutes."""
+    arms = _overview(bench)
+    learned = [arm for arm in arms if rates(arm, "learning")]
+    if not learned:
+        return None
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.9), sharey=True, layout="constrained")
+    for arm in arms:
+        color, style = _look(bench, arm)
+        if arm not in learned:
+            for axes in (left, right):
+                _level(axes, rates(arm, "zero_shot_seen"), style)
+            left.plot([], [], label=f"{arm.name} (by the protocol)", **style | {"marker": ""})
+            continue
+        blocks = _blocks(arm)
+        _band(left, blocks.steps, blocks.rates, color, style, arm.name)
+        if blocks.timed.any():
+            _band(right, blocks.minutes.mean(axis=0), blocks.rates[blocks.timed], color, style, None)
+    left.set(xlabel="fine-tuning attempts", ylabel="success rate while learning", ylim=(-0.02, 1.02))
+    right.set(xlabel="minutes of robot motion")
+    left.set_xlim(left=0)
+    right.set_xlim(left=0)
+    _legend(figure, left)
+    ends = "; ".join(f"{arm.name} {_last(arm):.2f}" for arm in learned)
+    caption = (
+        f"Blocks of {BLOCK} exploring attempts, mean over seeds. {_band_words(learned)} "
+        "Minutes are of robot motion alone, without computing; a block stands at its mean over seeds."
+    )
+    return figure, caption, f"Success rate against attempts and against robot minutes. In the last block: {ends}."
+
+
+def protocol(bench: Bench) -> Drawn:
+    """Success by the protocol, on the way."""
+    arms = _overview(bench)
+    figure, grid = plt.subplots(1, 2, figsize=(10, 3.9), sharey=True, layout="constrained")
+    most = max(point["step"] for arm in arms for run in arm.runs for point in run.result["evals"])
+    if most == 0:
+        plt.close(figure)
+        return None
+    ticks = sorted({point["step"] for arm in arms for run in arm.runs for point in run.result["evals"]})
+    for axes, split in zip(grid, reversed(SPLITS), strict=True):
+        for i, arm in enumerate(arms):
+            _, style = _look(bench, arm)
+            evals = [{point["step"]: rate(point[split]) for point in run.result["evals"]} for run in arm.runs]
+            steps = sorted(set.intersection(*map(set, evals)))
+            each = [[rates_at[step] for rates_at in evals] for step in steps]
+            if steps == [0]:
+                _level(axes, each[0], style, arm.name)
+                continue
+            shift = (i - (len(arms) - 1) / 2) * most * 0.008  # so that error bars do not hide each other
+            axes.errorbar(np.array(steps) + shift, *_dots(each), label=arm.name, capsize=2.5, elinewidth=0.9, **style)
+        axes.set(xlabel="fine-tuning attempts", title=f"{split} objects", ylim=(-0.02, 1.02), xticks=ticks)
+    grid[0].set_ylabel("success rate by the protocol")
+    _legend(figure, grid[0])
+    ends = "; ".join(f"{arm.name} {np.mean(rates(arm, 'after_unseen')):.2f}" for arm in arms)
+    caption = f"Evaluated with frozen weights, mean over seeds. {_bar_words(arms)} Points are shifted a little sideways."
+    return figure, caption, f"Success rate by the protocol against attempts. On unseen objects at the end: {ends}."
+
+
+def transfer_curves(bench: Bench) -> Drawn:
+    """None, backbone and full beside each other while learning, a panel for each source."""
+    sources = [task for task in dict.fromkeys(arm.task for arm in bench.arms) if task != "none"]
+    sources = [t for t in sources if len({arm.transfer for arm in bench.arms if arm.task in (t, "none")}) > 1]
+    if not sources:
+        return None
+    width = min(3, len(sources))
+    height = -(-len(sources) // width)
+    size = (max(5.5, 3.4 * width), 2.9 * height + 0.3)
+    figure, grid = plt.subplots(height, width, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained")
+    for axes, task in zip(grid.flat, sources, strict=False):
+        for arm in (arm for arm in bench.arms if arm.task in (task, "none")):
+            color, style = _look(bench, arm)
+            label = arm.name if arm.task == "none" else arm.name.removeprefix(f"{task}, ")
+            if rates(arm, "learning"):
+                blocks = _blocks(arm)
+                _band(axes, blocks.steps, blocks.rates, color, style, label)
+            else:
+                _level(axes, rates(arm, "zero_shot_seen"), style, f"{label} (by the protocol)")
+        axes.set(title=task, ylim=(-0.02, 1.02))
+        axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
+    for place, axes in enumerate(grid.flat):
+        axes.set_visible(place < len(sources))
+        axes.tick_params(labelbottom=place + width >= len(sources))
+    figure.supxlabel("fine-tuning attempts", fontsize=9)
+    figure.supylabel("success rate while learning", fontsize=9)
+    caption = f"What is transferred, source by source. {_band_words(bench.arms)}"
+    return figure, caption, f"Success while learning by what was transferred, a panel for each of {', '.join(sources)}."
+
+
+def transfer(bench: Bench) -> Drawn:
+    """Final success by source and transfer."""
+    return _by_source(bench, ("after_unseen", "after_seen"), "after fine-tuning")
+
+
+def zero_shot(bench: Bench) -> Drawn:
+    """Success before the first attempt by source and transfer."""
+    return _by_source(bench, ("zero_shot_unseen", "zero_shot_seen"), "before fine-tuning")
+
+
+def _by_source(bench: Bench, measures: Sequence[str], when: str) -> Drawn:
+    figure, grid = plt.subplots(
+        1, 2, figsize=(10, 0.9 + 0.36 * len(bench.arms)), sharex=True, sharey=True, layout="constrained"
+    )
+    places = np.arange(len(bench.arms))[::-1]
+    for axes, measure in zip(grid, measures, strict=True):
+        for place, arm in zip(places, bench.arms, strict=True):
+            color, style = _look(bench, arm)
+            each = rates(arm, measure)
+            mean, error = _dots([each])
+            axes.plot(each, np.full(len(each), place + 0.22), "|", color=color, alpha=0.8, markersize=6)
+            axes.errorbar(mean, [place], xerr=error, capsize=3, **style | {"linestyle": "none"})
+            if measure == "after_unseen" and (published := published_for(bench, arm)) is not None:
+                axes.plot(
+                    published, place - 0.25, "*", color="none", markeredgecolor="#1d2327", markersize=8, label="the paper"
+                )
+        axes.set(xlim=(-0.02, 1.02), title=f"{measure.split('_')[-1]} objects", xlabel=f"success rate {when}")
+        axes.set_ylim(-0.6, len(bench.arms) - 0.4)
+        axes.set_yticks(places, [arm.name for arm in bench.arms])
+        axes.grid(axis="y", visible=False)
+    if stars := grid[0].get_legend_handles_labels()[0]:
+        figure.legend(stars[:1], ["the paper"], loc="outside lower center")
+    told = "; ".join(f"{arm.name} {np.mean(rates(arm, measures[0])):.2f}" for arm in bench.arms)
+    caption = f"Points are means over seeds, ticks above them the seeds. {_bar_words(bench.arms)}"
+    return figure, caption, f"Success rate {when} by source and transfer. On unseen objects: {told}."
+
+
+def causes(bench: Bench) -> Drawn:
+    """Why attempts failed, before, while and after learning."""
+    arms = [arm for arm in bench.arms if any(run.attempts for run in arm.runs)]
+    if not arms:
+        return None
+    stages = ("zero-shot", "while learning", "after, by the protocol")
+    figure, grid = plt.subplots(1, 3, figsize=(10, 1.3 + 0.34 * len(arms)), sharex=True, sharey=True, layout="constrained")
+    places, seen, told = np.arange(len(arms))[::-1], set(), []
+    for axes, stage in zip(grid, stages, strict=True):
+        for place, arm in zip(places, arms, strict=True):
+            share = _failures(arm, stage)
+            left = 0.0
+            for cause in sorted(share, key=lambda c: list(CAUSES).index(c) if c in CAUSES else len(CAUSES)):
+                axes.barh(place, share[cause], 0.66, left=left, color=CAUSES.get(cause, OTHER_COLOR), edgecolor="white")
+                left += share[cause]
+                seen.add(cause)
+            if share and stage == "while learning":
+                told.append(f"{arm.name} mostly {max(share, key=lambda c: share[c])}")
+        axes.set(title=stage, xlim=(0, 1), xticks=(0, 0.25, 0.5, 0.75, 1), xticklabels=("0", "", "0.5", "", "1"))
+        axes.grid(axis="y", visible=False)
+    grid[0].set_yticks(places, [arm.name for arm in arms])
+    grid[1].set_xlabel("share of attempts that failed")
+    names = [cause for cause in [*CAUSES, *sorted(seen - {*CAUSES})] if cause in seen]
+    patches = [plt.Rectangle((0, 0), 1, 1, color=CAUSES.get(cause, OTHER_COLOR)) for cause in names]
+    labels = ["held, not sensed" if cause == "ok" else cause.replace("_", " ") for cause in names]
+    figure.legend(patches, labels, loc="outside lower center", ncols=max(1, len(names)))
+    caption = "Length: share of all attempts, seen and unseen, all seeds together. Colour: the cause in attempts.csv."
+    return figure, caption, f"Failures by cause. While learning: {'; '.join(told) or 'no attempts'}."
+
+
+FIGURES: tuple[tuple[str, str, Callable[[Bench], Drawn]], ...] = (
+    ("curves", "Learning by trial and error", curves),
+    ("protocol", "Tested on the way", protocol),
+    ("transfer-curves", "What is transferred, while learning", transfer_curves),
+    ("transfer", "What is transferred, afterwards", transfer),
+    ("zero-shot", "Zero-shot", zero_shot),
+    ("causes", "Why attempts failed", causes),
+)
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Fine-tuning in blocks.
+
+    Args:
+        steps: (n,), at which blocks end.
+        rates: (seed, n).
+        timed: Which seeds have an attempts.csv.
+        minutes: (timed seed, n) of robot motion.
+    """
+
+    steps: np.ndarray
+    rates: np.ndarray
+    timed: np.ndarray
+    minutes: np.ndarray
+
+
+def _blocks(arm: Arm) -> _Blocks:
+    length = min(len(run.result["curve"]) for run in arm.runs)
+    each = [[rate(block) for block in run.result["curve"][:length]] for run in arm.runs]
+    steps = np.array([block["step"] for block in arm.runs[0].result["curve"][:length]])
+    timed = [bool(run.attempts) for run in arm.runs]
+    clocks = [
+        np.cumsum([float(row["robot_seconds"]) for row in run.attempts if row["phase"] == "finetune"])[steps - 1] / 60
+        for run in arm.runs
+        if run.attempts
+    ]
+    return _Blocks(steps, np.array(each), np.array(timed), np.array(clocks))
+
+
+def _band(axes: Axes, x: np.ndarray, each: np.ndarray, color: Any, style: dict[str, Any], label: str | None) -> None:
+    """Mean over seeds (rows of ``each``) with its band, or with the seeds where they are too few for one."""
+    axes.plot(x, each.mean(axis=0), label=label, **style)
+    if len(each) >= ENOUGH:
+        low, high = np.array([mean_interval(column) for column in each.T.tolist()]).T
+        axes.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
+    elif len(each) > 1:
+        axes.plot(x, each.T, color=color, alpha=0.35, linewidth=0.8, linestyle=style["linestyle"])
+
+
+def _level(axes: Axes, each: list[float], style: dict[str, Any], label: str | None = None) -> None:
+    """What is never fine-tuned stays as it is."""
+    axes.axhline(float(np.mean(each)), label=label, **style | {"marker": ""})
+
+
+def _dots(each: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Means, and distances (2, n) to the limits of their intervals: 0 where seeds are too few for one."""
+    means = np.array([np.mean(values) for values in each])
+    limits = [(mean_interval(v) if len(v) >= ENOUGH else None) or (m, m) for v, m in zip(each, means, strict=True)]
+    return means, np.abs(np.array(limits).T - means)
+
+
+def _look(bench: Bench, arm: Arm) -> tuple[Any, dict[str, Any]]:
+    """Colour by source, line by transfer, and lighter with other markers for further configurations of the same."""
+    twins = [other for other in bench.arms if (other.task, other.transfer) == (arm.task, arm.transfer)]
+    place = twins.index(arm)
+    rgb = np.array(to_rgb(COLORS.get(arm.task, OTHER_COLOR)))
+    color = tuple(rgb + (1 - rgb) * 0.55 * place / max(1, len(twins) - 1))
+    marker = MARKERS.get(arm.transfer, "^") if place == 0 else "vPX*<>"[(place - 1) % 6]
+    style = {"color": color, "linestyle": LINES.get(arm.transfer, "-."), "marker": marker, "markersize": 4, "linewidth": 1.6}
+    return color, style
+
+
+def _overview(bench: Bench) -> list[Arm]:
+    """The paper's arms: the baseline and whole models; or all of them where that would leave a source out."""
+    shown = [arm for arm in bench.arms if arm.transfer in ("none", "full")]
+    return shown + [arm for arm in bench.arms if arm.task not in {a.task for a in shown}]
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
+
+
+def _band_words(arms: Sequence[Arm]) -> str:
+    words = "Band: 95 % t interval over seeds"
+    return f"{words}; below {ENOUGH} seeds thin lines instead, one a seed." if _few(arms) else f"{words}."
+
+
+def _bar_words(arms: Sequence[Arm]) -> str:
+    words = "Bars: 95 % t interval over seeds"
+    return f"{words}; none below {ENOUGH} seeds." if _few(arms) else f"{words}."
+
+
+def _few(arms: Sequence[Arm]) -> bool:
+    return any(len(arm.runs) < ENOUGH for arm in arms)
+
+
+def _last(arm: Arm) -> float:
+    return float(_blocks(arm).rates[:, -1].mean())
+
+
+def _failures(arm: Arm, stage: str) -> dict[str, float]:
+    """Share of an arm's attempts at a stage that failed, by cause."""
+    last = max(point["step"] for point in arm.runs[0].result["evals"])
+    step = {"zero-shot": "0", "while learning": None}.get(stage, str(last))
+    policy = arm.runs[0].choices.get("policy")
+    rows = [
+        row
+        for run in arm.runs
+        for row in run.attempts
+        if (row["phase"] == "finetune" if step is None else row["phase"] != "finetune" and row["step"] == step)
+        and (step is None or row["policy"] == policy)
+    ]
+    failed = Counter(row["cause"] for row in rows if row["success"] == "0")
+    return {cause: count / len(rows) for cause, count in failed.items()}

@@ -1,0 +1,327 @@
+"""Runs as they lie in their folders: read, checked, and described by the conditions they were tested under."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, get_args
+
+from omegaconf import DictConfig, OmegaConf
+from see2act.experiment import attempts_csv
+from see2act.experiment.config import CHOICES, LOCAL, LOCAL_ROBOT, LOCAL_TRAINER, WORD
+from see2act.robot.types import Split
+from tqdm import tqdm
+from yaml import YAMLError
+
+SPLITS: tuple[Split, ...] = get_args(Split)
+PHASES = ("zero_shot", "eval", "eval_argmax")
+OPAQUE = (".hydra", "checkpoints", "figures", "wandb", ".git", ".venv", ".cache")
+"""Folders that hold no runs, and may be large."""
+CONDITIONS = (
+    *("model.", "objects.", "workspace.", "camera.", "robot.", "policy."),
+    *("primitive.angles", "primitive.footprint", "primitive.end_effector", "evaluate.attempts", "evaluate.scenes"),
+)
+"""Beginnings of the keys that two runs must share before their success may be compared."""
+LEARNING = ("model.rates",)
+"""Those that are how an arm learns, and not how it is tested."""
+NO_MATTER = (
+    "hydra",
+    *LOCAL,
+    *(f"trainer.{key}" for key in LOCAL_TRAINER),
+    "trainer.enable_",
+    "collect.workers",
+    *(f"robot.{key}" for key in LOCAL_ROBOT),
+)
+"""Beginnings of the keys that leave results as they are."""
+NAMED = ("model", "objects", "workspace", "camera", "policy", "precision")
+"""Conditions that ``choices`` of a result has."""
+UNKNOWN = "unknown"
+CONFIGURATION = "configuration"
+"""Key of a setting: ``read``, or ``unknown`` of runs that have lost theirs."""
+ATTEMPTS = ("attempts.csv.gz", "attempts.csv")
+"""Where the attempts of a run are: compressed in runs that were kept."""
+
+
+class BrokenRun(ValueError):
+    """A result that cannot be used; the message says why in a few words."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run."""
+
+    folder: Path
+    place: str
+    """The folder, from where the search began."""
+    result: dict[str, Any]
+    config: dict[str, str]
+    """Flat: ``finetune.logit_scale`` to ``0.25``; empty if the folder has none."""
+    overrides: tuple[str, ...] | None
+    attempts: list[dict[str, str]]
+    """Rows of attempts.csv; empty if it cannot be read."""
+    setting: dict[str, str]
+
+    @property
+    def seed(self) -> int:
+        """Of fine-tuning."""
+        return int(self.result["choices"]["seed"])
+
+    @property
+    def choices(self) -> dict[str, str]:
+        """What was typed, without the seed."""
+        return {key: str(value) for key, value in self.result["choices"].items() if key != "seed"}
+
+    def counts(self, phase: str, split: str) -> tuple[int, int]:
+        """Successes and attempts."""
+        return self.result[phase][split]["successes"], self.result[phase][split]["attempts"]
+
+    def scores(self, phase: str, split: str) -> list[float]:
+        """Success rate of each test run."""
+        return [rate(run) for run in self.result[phase][split]["runs"]]
+
+    @property
+    def learning(self) -> tuple[int, int]:
+        """Successes and attempts while fine-tuning; (0, 0) without fine-tuning."""
+        curve = self.result["curve"]
+        return sum(block["successes"] for block in curve), sum(block["attempts"] for block in curve)
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A run without a result."""
+
+    place: str
+    primitive: str
+    task: str
+    transfer: str
+    model: str
+    seed: str
+    state: str
+
+
+@dataclass
+class Holdings:
+    """What a folder holds."""
+
+    runs: list[Run] = field(default_factory=list)
+    unfinished: list[Unfinished] = field(default_factory=list)
+    broken: list[tuple[str, str]] = field(default_factory=list)
+    """Folder and reason."""
+    notices: list[str] = field(default_factory=list)
+    """What a reader must know before believing a number."""
+
+
+def read(folder: Path) -> Holdings:
+    """All runs below ``folder``."""
+    held = Holdings()
+    for path in tqdm(_once(sorted(_places(folder))), desc="read", disable=None):
+        place = path.relative_to(folder).as_posix()
+        if not (path / "result.json").is_file():
+            held.unfinished.append(_unfinished(path, place))
+            continue
+        try:
+            held.runs.append(_read(path, place, held.notices))
+        except BrokenRun as error:
+            held.broken.append((place, str(error)))
+            held.notices.append(f"Left out, since its result.json cannot be used: {place} ({error}).")
+    return held
+
+
+def _places(folder: Path) -> Iterator[Path]:
+    for root, folders, files in os.walk(folder):
+        folders[:] = sorted(set(folders) - set(OPAQUE))
+        if {"result.json", "run.json", *ATTEMPTS} & set(files):
+            yield Path(root)
+
+
+def _once(places: list[Path]) -> list[Path]:
+    """Of folders whose result is one and the same file, as in sweeps that share runs, the first."""
+    inodes: dict[tuple[int, int], Path] = {}
+    kept = []
+    for place in places:
+        result = place / "result.json"
+        if not result.is_file():
+            kept.append(place)
+            continue
+        status = result.stat()
+        if inodes.setdefault((status.st_dev, status.st_ino), place) == place:
+            kept.append(place)
+    return kept
+
+
+def _read(folder: Path, place: str, notices: list[str]) -> Run:
+    try:
+        result = json.loads((folder / "result.json").read_text())
+    except (OSError, ValueError) as error:
+        raise BrokenRun(f"it cannot be read as JSON: {' '.join(str(error).split())}") from None
+    try:
+        check(result)
+    except (LookupError, TypeError, AttributeError) as error:
+        raise BrokenRun(f"it lacks something: {type(error).__name__} {error}") from None
+    config = _config(folder)
+    if config is None:
+        notices.append(f"{place} has no readable .hydra/config.yaml: its protocol is unknown, so it is kept apart.")
+    attempts = _attempts(folder, place, result, notices)
+    return Run(folder, place, result, _flat(config), _overrides(folder), attempts, _setting(result, config))
+
+
+def check(result: Any) -> None:
+    """Refuse what this project cannot have written.
+
+    Raises:
+        BrokenRun: Counts that contradict each other.
+        LookupError, TypeError, AttributeError: Something is missing, or of the wrong kind.
+    """
+    choices = result["choices"]
+    if not all(re.fullmatch(WORD, choices[key]) for key in CHOICES):
+        raise BrokenRun("choices are no words")
+    if not isinstance(choices["seed"], int):
+        raise BrokenRun(f"seed {choices['seed']} is no number")
+    if not isinstance(result["config_hash"], str) or not result["versions"].items():
+        raise BrokenRun("hash or versions are missing")
+    sum(result["seconds"].values())
+    points = [*(result[phase] for phase in PHASES), *result["evals"]]
+    for point in points:
+        for split in SPLITS:
+            _check_counts(point[split])
+    if len({len(point[split]["runs"]) for point in points for split in SPLITS}) > 1:
+        raise BrokenRun("its evaluations have different numbers of test runs")
+    for block in result["curve"]:
+        rate(block)
+    if [block["step"] for block in result["curve"]] != [*accumulate(block["attempts"] for block in result["curve"])]:
+        raise BrokenRun("the steps of its curve are not what its attempts sum up to")
+    steps = [point["step"] for point in result["evals"]]
+    if not steps or not all(isinstance(step, int) for step in steps) or steps != sorted({*steps}):
+        raise BrokenRun("evals are missing, or not in order")
+
+
+def _check_counts(counts: dict[str, Any]) -> None:
+    for run in (counts, *counts["runs"]):
+        rate(run)
+    totals = tuple(sum(run[key] for run in counts["runs"]) for key in ("successes", "attempts"))
+    if totals != (counts["successes"], counts["attempts"]):
+        raise BrokenRun(f"test runs sum up to {totals[0]}/{totals[1]}, not {counts['successes']}/{counts['attempts']}")
+    if not abs(counts["rate"] - rate(counts)) < 1e-6:  # a rate that is no number is wrong too
+        raise BrokenRun(f"rate {counts['rate']} is not {counts['successes']}/{counts['attempts']}")
+
+
+def rate(counts: dict[str, Any]) -> float:
+    """Of successes in attempts.
+
+    Raises:
+        BrokenRun: The counts are impossible.
+    """
+    successes, attempts = counts["successes"], counts["attempts"]
+    if not (isinstance(successes, int) and isinstance(attempts, int) and 0 <= successes <= attempts and attempts > 0):
+        raise BrokenRun(f"{successes!r} successes of {attempts!r} attempts")
+    return successes / attempts
+
+
+def _config(folder: Path) -> DictConfig | None:
+    try:
+        config = OmegaConf.load(folder / ".hydra" / "config.yaml")
+    except (OSError, YAMLError, UnicodeDecodeError):
+        return None
+    return config if isinstance(config, DictConfig) and config else None
+
+
+def _flat(config: DictConfig | None) -> dict[str, str]:
+    def walk(node: Any, path: str) -> Iterator[tuple[str, str]]:
+        if isinstance(node, dict) and node:
+            for key, value in node.items():
+                yield from walk(value, f"{path}.{key}" if path else str(key))
+        else:
+            yield path, str(node)
+
+    return dict(walk(OmegaConf.to_container(config), "")) if config else {}
+
+
+def _overrides(folder: Path) -> tuple[str, ...] | None:
+    try:
+        # As typed: an interpolation means something within the whole configuration alone.
+        overrides: Any = OmegaConf.to_container(OmegaConf.load(folder / ".hydra" / "overrides.yaml"))
+    except (OSError, YAMLError, UnicodeDecodeError):
+        return None
+    return tuple(map(str, overrides))
+
+
+def _attempts(folder: Path, place: str, result: dict[str, Any], notices: list[str]) -> list[dict[str, str]]:
+    try:
+        rows = attempts_csv.read(attempts_of(folder) or folder / ATTEMPTS[-1])
+        learned = [int(row["success"]) for row in rows if row["phase"] == "finetune"]
+        for row in rows:
+            float(row["robot_seconds"]), row["cause"], row["policy"], int(row["step"])
+    except UNREADABLE as error:
+        notices.append(f"{place}/attempts.csv cannot be read ({_reason(error)}): robot time and causes leave this run out.")
+        return []
+    expected = [(block["successes"], block["attempts"]) for block in result["curve"]]
+    if (sum(learned), len(learned)) != (sum(s for s, _ in expected), sum(n for _, n in expected)):
+        notices.append(f"{place}/attempts.csv does not belong to its result.json: robot time and causes leave this run out.")
+        return []
+    return rows
+
+
+UNREADABLE = (OSError, EOFError, zlib.error, ValueError, LookupError, TypeError, csv.Error)
+"""What reading attempts may raise."""
+
+
+def _reason(error: Exception) -> str:
+    return f"there is no column {error}" if isinstance(error, KeyError) else str(error)
+
+
+def attempts_of(folder: Path) -> Path | None:
+    """The file with the attempts of a run, if there is one."""
+    return next((folder / name for name in ATTEMPTS if (folder / name).is_file()), None)
+
+
+def _setting(result: dict[str, Any], config: DictConfig | None) -> dict[str, str]:
+    """Everything that two runs must share before their success may be compared."""
+    choices = result["choices"]
+    conditions = {
+        k.removesuffix(".name"): v for k, v in _flat(config).items() if begins(k, CONDITIONS) and not begins(k, LEARNING)
+    }
+    setting = {
+        **{key: value for key, value in conditions.items() if not begins(key, NO_MATTER)},
+        **{key: str(choices.get(key, UNKNOWN)) for key in NAMED},
+        "robot.motion": str(choices.get("motion", UNKNOWN)),
+        "evaluate.runs": str(len(result["eval"]["seen"]["runs"])),
+        **{f"version of {name}": str(version) for name, version in result["versions"].items()},
+    }
+    setting[CONFIGURATION] = UNKNOWN if config is None else "read"
+    if config is not None:  # an interpolation, unless it was typed
+        setting["finetune.attempts"] = _chosen(config, "finetune.attempts")
+    return setting
+
+
+def _chosen(config: DictConfig, key: str) -> str:
+    value = OmegaConf.select(config, key, throw_on_resolution_failure=False)
+    return UNKNOWN if value is None else str(value)
+
+
+def begins(key: str, beginnings: Iterable[str]) -> bool:
+    """Whether a key is one of these, or below one; a beginning that ends in . or _ takes whatever follows."""
+    return any(key == b or key.startswith(b if b[-1] in "._" else f"{b}.") for b in beginnings)
+
+
+def _unfinished(folder: Path, place: str) -> Unfinished:
+    config = _config(folder) or OmegaConf.create()
+    names = {key: _chosen(config, f"{key}.name") for key in ("primitive", "task", "transfer", "model")}
+    seed, most = _chosen(config, "seed"), _chosen(config, "finetune.attempts")
+    if path := attempts_of(folder):
+        try:
+            done = sum(row["phase"] == "finetune" for row in attempts_csv.read(path))
+            state = f"{done} of {most} fine-tuning attempts done"
+        except UNREADABLE:
+            state = "its attempts.csv cannot be read"
+    else:
+        state = "stopped before its first attempt"
+    if (failed := folder / "failed.txt").is_file():
+        state += f"; failed: {failed.read_text()}"
+    return Unfinished(place, **names, seed=seed, state=state)

@@ -1,0 +1,128 @@
+"""The paper's figure of heatmaps: the same observations through every source model, and through a fine-tuned one.
+
+Collected data and vision models come from the cache, or are made now as train.py would make them. Source models whose
+weights are not here are left out and named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from see2act.commands import user_errors_end_the_program
+from see2act.errors import ConfigError, TransferError
+from see2act.experiment.checks import validate
+from see2act.experiment.config import composed
+from see2act.files import writable
+
+TASKS = ("none", "imagenet", "edge", "corner", "center", "foreground", "normal", "coco")
+TRANSFERS = {"none": "none", "imagenet": "backbone"}
+"""What is copied for the figure; everything else is copied whole."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", type=Path, metavar="DIR", help="a finished run whose fine-tuned model is shown last")
+    parser.add_argument("--tasks", default=",".join(TASKS), metavar="TASK,TASK", help="default: %(default)s")
+    parser.add_argument("--scenes", type=int, default=1, metavar="N", help="of each split (default 1)")
+    parser.add_argument("--out", type=Path, default=Path("heatmaps"), metavar="DIR", help="default: heatmaps/")
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration, as for train.py")
+    args = parser.parse_intermixed_args(arguments)
+    with user_errors_end_the_program():
+        missing = draw(args.overrides, args.tasks.split(","), args.run, args.scenes, args.out)
+    for task, reason in missing.items():
+        print(f"left out: {task}: {reason}")
+    print(args.out / "heatmaps.png")
+
+
+def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scenes: int, out: Path) -> dict[str, str]:
+    """Make the figure in ``out``; what had to be left out, with the reason.
+
+    Raises:
+        ConfigError: The configuration is impossible, a task is unknown, or the run's model is another one.
+    """
+    _check(overrides, scenes, out)
+    import torch  # torch and lightning take seconds, which --help should not
+
+    from see2act.experiment import build, figures
+    from see2act.experiment.pipeline import Run
+
+    models, missing = {}, {}
+    last = run / "checkpoints" / "affordance.ckpt" if run else None
+    if run and last and not last.is_file():
+        raise ConfigError(f"{last} is not there: --run takes the folder of a finished run")
+    overrides = [*(_of_run(run, overrides) if run else ()), *overrides]
+    build.check_parts(composed([*overrides, "task=none", "transfer=none"]))
+    configs = {task: composed([*overrides, f"task={task}", f"transfer={TRANSFERS.get(task, 'full')}"]) for task in tasks}
+    with TemporaryDirectory() as scratch:
+        for task, cfg in configs.items():
+            torch.set_num_threads(cfg.threads)
+            job = Run(cfg, Path(scratch) / task)
+            try:
+                validate(cfg)
+                job.check_weights()
+                collection = job.collect()
+                models[task], _ = job.transfer(collection, job.pretrain(collection))
+            except (ConfigError, TransferError) as error:
+                missing[task] = str(error)
+        if not models:
+            raise ConfigError("; ".join(f"{task}: {reason}" for task, reason in missing.items()))
+        if last:
+            tuned = copy.deepcopy(next(iter(models.values())))
+            try:
+                tuned.load_state_dict(torch.load(last, map_location="cpu", weights_only=True)["state_dict"])
+            except RuntimeError as error:
+                reason = " ".join(str(error).split())[:200]
+                raise ConfigError(
+                    f"{last} does not fit model={cfg.model.name} ({reason}): give the overrides of its run"
+                ) from None
+            models["fine-tuned"] = tuned.eval()
+    robot = build.robot_factory(cfg, cfg.primitive)()
+    try:
+        figures.heatmaps(robot, models, build.policy(cfg), scenes, cfg.primitive.name, out, cfg.evaluate.scenes)
+    finally:
+        robot.close()
+    return missing
+
+
+def _check(overrides: Sequence[str], scenes: int, out: Path) -> None:
+    for override in overrides:
+        if _key(override) in ("task", "transfer"):
+            raise ConfigError(f"{override} has no effect here: use --tasks {TASKS[2]},{TASKS[3]}")
+    if scenes < 1:
+        raise ConfigError(f"--scenes {scenes} is too small: it must be at least 1")
+    if not writable(out):
+        raise ConfigError(f"--out {out} cannot be written: give a folder that you may write to")
+
+
+def _of_run(run: Path, typed: Sequence[str]) -> list[str]:
+    """What a run was typed with, but for its task and whatever is typed anew: its tool, its objects, its observations.
+
+    Raises:
+        ConfigError: The run does not say.
+    """
+    path = run / ".hydra" / "overrides.yaml"
+    if not path.is_file():
+        raise ConfigError(f"{path} is not there: --run takes the folder of a finished run")
+    anew = {_key(override) for override in typed} | {"transfer", "force"}
+    of_run: Any = OmegaConf.to_container(OmegaConf.load(path))
+    searched = [] if "hydra.searchpath" in anew else _searched(run)  # Hydra heeds the first of two
+    return [*searched, *(o for o in of_run if _key(o) not in anew and _key(o).split(".")[0] != "task")]
+
+
+def _searched(run: Path) -> list[str]:
+    """Where a run found configuration of its user's, which is not among its overrides but in Hydra's own file."""
+    path = run / ".hydra" / "hydra.yaml"
+    places = OmegaConf.load(path).hydra.searchpath if path.is_file() else []
+    return [f"hydra.searchpath=[{','.join(repr(place) for place in places)}]"] if places else []
+
+
+def _key(override: str) -> str:
+    return override.split("=")[0].lstrip("+~")

@@ -1,0 +1,291 @@
+"""The schema of a run's configuration, how it is composed, and its hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra import compose, initialize_config_module
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from see2act.errors import ConfigError
+from see2act.experiment.cache import foreign_code, given_files
+from see2act.experiment.processor import fastest_precision
+
+LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
+"""What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
+LOCAL_TRAINER = ("logger", "log_every_n_steps", "num_sanity_val_steps")
+"""The same of the trainer's keys, with everything that starts with ``enable_``, the processor, and one device."""
+LOCAL_ROBOT = ("video", "layouts")
+"""The same of the robot's keys."""
+CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
+"""Groups whose names a result has."""
+WORD = r"\w+"
+"""What such a name must match."""
+HASH_LENGTH = 12
+
+
+@dataclass
+class TaskConfig:
+    """A source of parameters: a vision task, or none."""
+
+    name: str = MISSING
+    label: dict[str, Any] | None = None
+    """``_target_`` and arguments of a :class:`see2act.datamodules.labels.Task`; null where nothing is learned."""
+    parts: list[str] = field(default_factory=list)
+    """What this source can give: backbone, head."""
+    weights: str | None = None
+    """A file to take instead of pre-training or downloading: a vision checkpoint, or torchvision's weights."""
+    off_the_shelf: dict[str, Any] | None = None
+    """By model ``_target_`` and arguments of a :class:`see2act.modules.weights.OffTheShelf`; null for tasks learned here."""
+    optional: list[str] = field(default_factory=list)
+    """Beginnings of keys that off-the-shelf weights lack; they start at their initialisation."""
+    zero: list[str] = field(default_factory=list)
+    """The same; they start at zero."""
+    class_weight: str = "none"
+    """``none``, or ``balanced`` to weigh positive pixels by the inverse of their share."""
+
+
+@dataclass
+class TransferConfig:
+    """What is copied from the vision model."""
+
+    name: str = MISSING
+    parts: list[str] = field(default_factory=list)
+    finetune: bool = True
+
+
+@dataclass
+class PrimitiveConfig:
+    """A motion primitive and the numbers that go with it."""
+
+    name: str = MISSING
+    angles: int = MISSING
+    footprint: list[float] = field(default_factory=list)
+    """Metres from the middle of the open tool to its ends, along the jaws and across: what needs room between the walls."""
+    end_effector: dict[str, Any] = field(default_factory=dict)
+    lr: float = MISSING
+    """Learning rate of fine-tuning, for every arm alike; of networks that have none of their own in ``model.rates``."""
+    attempts: int = MISSING
+    """Fine-tuning attempts of the main job."""
+    short_attempts: int = MISSING
+    """Of a comparison with off-the-shelf weights: the paper's ten minutes of suction, its hour of grasping."""
+    benchmark_attempts: int = MISSING
+    """Of a run of the benchmark."""
+    evaluate_at: list[int] = field(default_factory=list)
+    turn: float = MISSING
+    """Radians by which a scene may be turned about a pick that stays as good."""
+
+
+@dataclass
+class CollectConfig:
+    """Random interaction before pre-training."""
+
+    interactions: int = MISSING
+    per_scene: int = MISSING
+    seed: int = MISSING
+    workers: int = MISSING
+    primitive: PrimitiveConfig = field(default_factory=PrimitiveConfig)
+
+
+@dataclass
+class PretrainConfig:
+    """Learning to see."""
+
+    epochs: int = MISSING
+    batch_size: int = MISSING
+    lr: float = MISSING
+    weight_decay: float = MISSING
+    validation: float = MISSING
+    test_scenes: int = MISSING
+    seed: int = MISSING
+
+
+@dataclass
+class ReplayConfig:
+    """Prioritized experience replay."""
+
+    alpha: float = MISSING
+    beta: float = MISSING
+    floor: float = MISSING
+    mirror: bool = MISSING
+    turn: float = MISSING
+    shift: float = MISSING
+    tint: float = MISSING
+
+
+@dataclass
+class FinetuneConfig:
+    """Learning to act."""
+
+    attempts: int = MISSING
+    robots: int = MISSING
+    updates: int = MISSING
+    batch_size: int = MISSING
+    backbone_lr: float = MISSING
+    head_lr: float = MISSING
+    weight_decay: float = MISSING
+    batchnorm: str = MISSING
+    averaging: float = MISSING
+    logit_scale: float = MISSING
+    temperature: float = MISSING
+    episode_attempts: int = MISSING
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+
+
+@dataclass
+class AttemptsConfig:
+    """Attempts of a test run at most, by what it tests."""
+
+    seen: int = MISSING
+    unseen: int = MISSING
+
+
+@dataclass
+class EvaluateConfig:
+    """Measuring success."""
+
+    runs: int = MISSING
+    at: list[int] = MISSING
+    attempts: AttemptsConfig = field(default_factory=AttemptsConfig)
+    scenes: str = MISSING
+
+
+@dataclass
+class FiguresConfig:
+    """Pictures of a run."""
+
+    scenes: int = MISSING
+    """Of each split."""
+
+
+@dataclass
+class PathsConfig:
+    """Where things are kept."""
+
+    cache: str = MISSING
+
+
+@dataclass
+class Config:
+    """Everything a run depends on. Groups without a class of their own are read by what they instantiate."""
+
+    task: TaskConfig = field(default_factory=TaskConfig)
+    transfer: TransferConfig = field(default_factory=TransferConfig)
+    primitive: PrimitiveConfig = field(default_factory=PrimitiveConfig)
+    model: dict[str, Any] = field(default_factory=dict)
+    objects: dict[str, Any] = field(default_factory=dict)
+    workspace: dict[str, Any] = field(default_factory=dict)
+    camera: dict[str, Any] = field(default_factory=dict)
+    robot: dict[str, Any] = field(default_factory=dict)
+    policy: dict[str, Any] = field(default_factory=dict)
+    trainer: dict[str, Any] = field(default_factory=dict)
+    logger: dict[str, Any] = field(default_factory=dict)
+    cells: list[str] = field(default_factory=list)
+    """primitive/task/transfer of the cells of a sweep that an experiment consists of; empty: all that make sense."""
+    name: str = "sweep"
+    """Of the experiment."""
+    labels: str = "truth"
+    seed: int = 0
+    precision: str = MISSING
+    """``bf16`` or ``fp32``; see :mod:`see2act.experiment.processor`."""
+    threads: int = 2
+    """Of torch. Sums depend on it in the last digits, as they do on the processor; neither is part of the hash."""
+    force: bool = False
+    collect: CollectConfig = field(default_factory=CollectConfig)
+    pretrain: PretrainConfig = field(default_factory=PretrainConfig)
+    finetune: FinetuneConfig = field(default_factory=FinetuneConfig)
+    evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
+    figures: FiguresConfig = field(default_factory=FiguresConfig)
+    paths: PathsConfig = field(default_factory=PathsConfig)
+
+
+def register() -> None:
+    """Make the schema and the hash known to Hydra; safe to call twice."""
+    ConfigStore.instance().store("schema", Config)
+    OmegaConf.register_new_resolver("config_hash", lambda _root_: config_hash(_root_), replace=True)
+    OmegaConf.register_new_resolver("fastest_precision", fastest_precision, replace=True)
+
+
+def composed(overrides: Sequence[str] = ()) -> DictConfig:
+    """The configuration of a run, for use without the command line: in tests, measurements, notebooks.
+
+    Raises:
+        ConfigError: A key or an option does not exist, with one line.
+    """
+    return composed_as_typed(overrides)
+
+
+def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = False) -> DictConfig:
+    """What Hydra makes of a command line, also within a program that Hydra runs.
+
+    Raises:
+        ConfigError: A key or an option does not exist, with one line.
+    """
+    register()
+    outer = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_module("see2act.conf", version_base="1.3"):
+            return compose("train", [*overrides], return_hydra_config=return_hydra_config)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from None
+    except ValueError as error:  # Hydra's, of a group that was given something else than the name of an option
+        raise ConfigError(f"{one_line(error)}: name an option of the group, as logger=none") from None
+    finally:
+        GlobalHydra.instance().hydra = outer
+
+
+def one_line(error: BaseException) -> str:
+    """Hydra's explanation on one line, its tabs and blank lines folded."""
+    cause = error.__cause__ if str(error).startswith("Error merging override") and error.__cause__ else None
+    told = f"{error}: {cause}" if cause else str(error)
+    for noise in ("Set the environment variable", "Config search path:", "full_key:"):
+        told = told.split(noise)[0]
+    text = " ".join(told.split())
+    if "Could not override" in text and "To append to your config" in text:
+        key = text.split("Could not override '")[1].split("'")[0]
+        return f"there is no configuration key '{key}': see `python train.py --cfg job` for all of them"
+    return text.replace("Available options in", "choose from the options of")
+
+
+def config_hash(cfg: DictConfig) -> str:
+    """Hash of everything that can change a result but the seed: the runs that differ by seed alone share it."""
+    resolved: dict[str, Any] = {}
+    for key in (str(key) for key in cfg if key not in LOCAL):
+        value = cfg[key]
+        resolved[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+    resolved["collect"].pop("workers")
+    resolved["robot"] = relevant_robot(cfg)
+    resolved["trainer"] = relevant_trainer(cfg)
+    return content_hash(given_files(resolved) | foreign_code(resolved))
+
+
+def relevant_robot(cfg: DictConfig) -> dict[str, Any]:
+    """The robot's keys that can change a result."""
+    robot: dict[str, Any] = OmegaConf.to_container(cfg.robot, resolve=True)  # type: ignore[assignment]
+    return {key: value for key, value in robot.items() if key not in LOCAL_ROBOT}
+
+
+def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:
+    """The trainer's keys that can change a result."""
+    trainer: dict[str, Any] = OmegaConf.to_container(cfg.trainer, resolve=True)  # type: ignore[assignment]
+    deciding = {k: v for k, v in trainer.items() if k not in LOCAL_TRAINER and not k.startswith("enable_")}
+    if deciding.get("accelerator") == "cpu":  # another one rounds otherwise, and attempts soon differ
+        del deciding["accelerator"]
+    devices = deciding.get("devices")
+    if devices == 1 or (isinstance(devices, list) and len(devices) == 1):  # several share a batch's work, and change it
+        del deciding["devices"]
+    return deciding
+
+
+def content_hash(data: object) -> str:
+    """Twelve hexadecimal digits that depend on plain data only."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:HASH_LENGTH]

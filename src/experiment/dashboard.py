@@ -1,0 +1,57 @@
+"""What a logger is given beside the curves: configuration, evaluations, figures, attempts."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.utils import instantiate
+from lightning.pytorch.loggers import Logger, TensorBoardLogger, WandbLogger
+from matplotlib.image import imread
+from omegaconf import DictConfig, OmegaConf
+from see2act.experiment import attempts_csv
+
+
+@dataclass(frozen=True)
+class Dashboard:
+    """The logger of a run, for all of its stages; without one, nothing happens."""
+
+    logger: Logger | None = None
+
+    @classmethod
+    def of(cls, cfg: DictConfig, folder: Path, name: str) -> Dashboard:
+        """The one that was configured, with the configuration in it; it writes into ``folder``."""
+        if not cfg.logger:
+            return cls()
+        logger: Logger = instantiate(cfg.logger)(save_dir=str(folder), name=name.replace(" ", "-"))
+        config: Any = OmegaConf.to_container(cfg, resolve=True)
+        logger.log_hyperparams(config)
+        return cls(logger)
+
+    def log(self, numbers: dict[str, float]) -> None:
+        """Numbers of this moment."""
+        if self.logger:
+            self.logger.log_metrics(numbers)
+
+    def show(self, folder: Path) -> None:
+        """The figures of a run, and its attempts as a table, where the logger can take them."""
+        pictures = sorted((folder / "figures").glob("*.png"))
+        match self.logger:
+            case WandbLogger():
+                for picture in pictures:
+                    self.logger.log_image(f"figures/{picture.stem}", [str(picture)])
+                rows = [list(row.values()) for row in attempts_csv.read(folder / "attempts.csv")]
+                self.logger.log_table("attempts", list(attempts_csv.COLUMNS), rows)
+            case TensorBoardLogger():
+                for picture in pictures:
+                    image = imread(picture)[..., :3]
+                    self.logger.experiment.add_image(f"figures/{picture.stem}", image, dataformats="HWC")
+
+    def close(self) -> None:
+        """Everything is on disk, and the next run of this process gets a dashboard of its own."""
+        if self.logger:
+            self.logger.finalize("success")
+        if "wandb" in sys.modules:
+            sys.modules["wandb"].finish()

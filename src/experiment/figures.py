@@ -1,0 +1,308 @@
+"""Pictures of a run, for people."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from scipy.special import expit
+
+from see2act.attempt import Affordances, Attempt, attempt
+from see2act.datamodules.collect import Collection
+from see2act.datamodules.labels import Means, Task
+from see2act.experiment import attempts_csv
+from see2act.experiment.evaluation import SPLITS, scene_seed
+from see2act.experiment.results import BLOCK, curve, wilson
+from see2act.files import replacing
+from see2act.policy import Policy
+from see2act.robot.robot import Robot
+from see2act.robot.types import Cause, Heightmap, Pick
+
+if TYPE_CHECKING:
+    from see2act.modules.affordance import AffordanceModule
+    from see2act.modules.network import PixelNetwork
+
+TALLEST = 0.12
+"""Metres at the bright end of the height pictures."""
+COLUMN = 2.75
+"""Inches."""
+SHOWN = 4
+"""Failures of a cause."""
+BAND = 8
+"""Attempts side by side in a strip."""
+ABOVE_FLOOR = 0.01
+"""Metres: a pick above is on an object, or a wall."""
+
+
+def learning_curve(attempts: Path, path: Path, title: str) -> None:
+    """Success while learning in blocks of attempts with Wilson intervals, and the evaluations on the way."""
+    figure, axes = plt.subplots(figsize=(6, 4))
+    points = curve(attempts)
+    if points:
+        x = [p["step"] for p in points]
+        y = np.array([p["successes"] / p["attempts"] for p in points])
+        low, high = np.array([wilson(p["successes"], p["attempts"]) for p in points]).T
+        axes.fill_between(x, low, high, alpha=0.2, color="C0", linewidth=0)
+        axes.plot(x, y, "o-", color="C0", label=f"while learning, blocks of {BLOCK}")
+    rows = [row for row in attempts_csv.read(attempts) if row["phase"] != "finetune"]
+    rule = rows[0]["policy"]
+    for color, split in zip(("C2", "C3"), SPLITS, strict=True):
+        by_step: dict[int, list[int]] = {}
+        for row in rows:
+            if row["split"] == split and row["policy"] == rule:
+                by_step.setdefault(int(row["step"]), []).append(int(row["success"]))
+        steps = sorted(by_step)
+        rates = [float(np.mean(by_step[s])) for s in steps]
+        low, high = np.array([wilson(sum(by_step[s]), len(by_step[s])) for s in steps]).reshape(-1, 2).T
+        error = (rates - low, high - rates)
+        axes.errorbar(steps, rates, error, fmt="s--", color=color, capsize=3, label=f"evaluated, {split} objects")
+    axes.set(xlabel="attempts", ylabel="success rate", ylim=(-0.02, 1.02), title=title)
+    axes.legend(loc="best", fontsize=8)
+    axes.grid(alpha=0.3)
+    _save(figure, path)
+
+
+def diagnosis(attempts: Path, path: Path, title: str) -> None:
+    """How learning went: causes of failure, where and how surely was picked, and whether predictions can be believed."""
+    rows = attempts_csv.read(attempts)
+    learning = [row for row in rows if row["phase"] == "finetune"]
+    blocks = [learning[i : i + BLOCK] for i in range(0, len(learning), BLOCK)]
+    steps = [int(block[-1]["step"]) for block in blocks]
+    figure, (causes, where, calibration) = plt.subplots(1, 3, figsize=(15, 4.2))
+    below = np.zeros(len(blocks))
+    for cause in sorted({row["cause"] for row in learning}, key=lambda cause: (cause != "ok", cause)):
+        share = np.array([np.mean([row["cause"] == cause for row in block]) for block in blocks])
+        causes.bar(steps, share, width=0.8 * BLOCK, bottom=below, label=cause)
+        below += share
+    causes.set(xlabel="attempts", ylabel="share", title="what came of attempts while learning")
+    curves = {
+        "on something (> 1 cm)": lambda block: np.mean([float(row["z"]) > ABOVE_FLOOR for row in block]),
+        "near an earlier pick of the bin": lambda block: np.mean([_near_earlier(row, learning) for row in block]),
+        "predicted success": lambda block: np.mean([float(row["score"]) for row in block]),
+        "successful": lambda block: np.mean([int(row["success"]) for row in block]),
+        "entropy of the draw / 15 nats": lambda block: np.mean([float(row["entropy"]) for row in block]) / 15,
+    }
+    for name, measure in curves.items():
+        where.plot(steps, [measure(block) for block in blocks], "o-", markersize=3, label=name)
+    where.set(xlabel="attempts", ylim=(-0.02, 1.02), title=f"blocks of {BLOCK} attempts")
+    calibration.plot([0, 1], [0, 1], ":", color="gray")
+    last = max(int(row["step"]) for row in rows)
+    tested = [row for row in rows if row["policy"] == rows[0]["policy"]]  # the plain argmax is tested beside it
+    phases = {
+        "zero-shot": [row for row in tested if row["phase"] == "zero_shot"],
+        "while learning": learning,
+        f"after {last}": [row for row in tested if row["phase"] == "eval" and int(row["step"]) == last],
+    }
+    for name, group in phases.items():
+        points = _reliability(group)
+        if points:
+            predicted, observed, low, high = np.array(points).T
+            calibration.errorbar(predicted, observed, (observed - low, high - observed), fmt="o-", capsize=2, label=name)
+    calibration.set(xlabel="predicted", ylabel="observed", xlim=(0, 1), ylim=(0, 1), title="success of the executed picks")
+    for axis in (causes, where, calibration):
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=7)
+    figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def _near_earlier(row: dict[str, str], rows: list[dict[str, str]]) -> bool:
+    """Whether the pick lies within a centimetre of an earlier one of the same episode."""
+    earlier = [r for r in rows if r["episode"] == row["episode"] and int(r["step"]) < int(row["step"])]
+    return any(math.hypot(float(r["x"]) - float(row["x"]), float(r["y"]) - float(row["y"])) <= 0.01 for r in earlier)
+
+
+def _reliability(rows: list[dict[str, str]]) -> list[tuple[float, float, float, float]]:
+    """Mean prediction, observed rate and its Wilson interval in tenths of the predicted probability."""
+    points = []
+    for tenth in range(10):
+        group = [row for row in rows if min(9, int(float(row["score"]) * 10)) == tenth]
+        if group:
+            successes = sum(int(row["success"]) for row in group)
+            predicted = float(np.mean([float(row["score"]) for row in group]))
+            points.append((predicted, successes / len(group), *wilson(successes, len(group))))
+    return points
+
+
+class Failures:
+    """Failed attempts by cause: how many, and the first :data:`SHOWN` of each, since their images are large."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[Cause] = Counter()
+        self.shown: dict[Cause, list[Attempt]] = {}
+
+    def add(self, failed: Attempt) -> None:
+        """One more."""
+        cause = failed.outcome.cause
+        self.counts[cause] += 1
+        if self.counts[cause] <= SHOWN:
+            self.shown.setdefault(cause, []).append(failed)
+
+
+def failures(failed: Failures, affordances: Affordances, robot: Robot, title: str, path: Path) -> None:
+    """Failed attempts sorted by cause, a row each: the heightmap with the pick, and the heatmap of its angle.
+
+    Args:
+        failed: At least one.
+        affordances: The model that chose them.
+        robot: For its jaws and workspace.
+        title: Over the figure.
+        path: Where to.
+    """
+    rows, pairs = len(failed.shown), max(len(attempts) for attempts in failed.shown.values())
+    size = (COLUMN * 2 * pairs, _row(robot.workspace.shape) * rows + 0.3)
+    figure, grid = plt.subplots(rows, 2 * pairs, figsize=size, squeeze=False)
+    for axes, (cause, attempts) in zip(grid, sorted(failed.shown.items()), strict=True):
+        for axis in axes:
+            axis.axis("off")
+        for k, one in enumerate(attempts):
+            heightmap, choice = one.heightmap, one.choice
+            caption = f"{cause}, {failed.counts[cause]} of {failed.counts.total()} failures" if k == 0 else ""
+            _picture(axes[2 * k], heightmap, one.pick, robot, caption)
+            heatmap = expit(affordances(heightmap.color, heightmap.height)[choice.angle])
+            axes[2 * k + 1].imshow(heatmap, cmap="inferno", vmin=0, vmax=1)
+            axes[2 * k + 1].set_title(f"predicted {choice.score:.2f}, best {heatmap.max():.2f}", fontsize=9)
+    figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def strip(attempts: Sequence[Attempt], affordances: Affordances, robot: Robot, title: str, path: Path) -> None:
+    """A column for each attempt: what the camera saw, the heatmap at the chosen angle, and the pick."""
+    bands = math.ceil(len(attempts) / BAND)
+    figure, grid = plt.subplots(3 * bands, BAND, figsize=(1.9 * BAND, 5.4 * bands + 0.3), squeeze=False)
+    for axis in grid.flat:
+        axis.set_axis_off()
+    for i, one in enumerate(attempts):
+        band, column = divmod(i, BAND)
+        axes = grid[3 * band : 3 * band + 3, column]
+        heightmap, choice = one.heightmap, one.choice
+        axes[0].imshow(one.observation.color)
+        axes[0].set_title(f"{i + 1}: {one.outcome.cause}", fontsize=9)
+        axes[1].imshow(expit(affordances(heightmap.color, heightmap.height)[choice.angle]), cmap="inferno", vmin=0, vmax=1)
+        axes[1].set_title(f"predicted {choice.score:.2f}", fontsize=9)
+        _picture(axes[2], heightmap, one.pick, robot, "")
+    figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def labels(collection: Collection, task: Task, means: Means, name: str, count: int, path: Path) -> None:
+    """Observations beside their label maps, by both means where they differ."""
+    figure, grid = plt.subplots(count, 4, figsize=(11, count * _row(collection.arrays["height"].shape[1:])), squeeze=False)
+    for axes, i in zip(grid, np.linspace(0, len(collection) - 1, count).astype(int), strict=True):
+        view = collection.view(int(i))
+        axes[0].imshow(view.sensed.color)
+        axes[1].imshow(view.sensed.height, cmap="gray", vmin=0, vmax=TALLEST)
+        _overlay(axes[2], view.sensed, task.label(view, "truth"))
+        _overlay(axes[3], view.sensed, task.label(view, "vision"))
+    captions = {m: f"{name} by {m}" + (" (used)" if m == means else "") for m in ("truth", "vision")}
+    for axis, caption in zip(grid[0], ("colour", "height", *captions.values()), strict=True):
+        axis.set_title(caption, fontsize=9)
+    _save(figure, path)
+
+
+def vision(held_out: Collection, task: Task, means: Means, network: PixelNetwork, count: int, title: str, path: Path) -> None:
+    """Held-out observations, their labels, and what the vision model makes of them."""
+    figure, grid = plt.subplots(count, 4, figsize=(11, count * _row(held_out.arrays["height"].shape[1:])), squeeze=False)
+    chosen = np.linspace(0, len(held_out) - 1, count).astype(int)
+    scores = network.scores(held_out.arrays["color"][chosen], held_out.arrays["height"][chosen])
+    for axes, i, score in zip(grid, chosen, scores, strict=True):
+        view = held_out.view(int(i))
+        axes[0].imshow(view.sensed.color)
+        axes[1].imshow(view.sensed.height, cmap="gray", vmin=0, vmax=TALLEST)
+        _overlay(axes[2], view.sensed, task.label(view, means))
+        axes[3].imshow(score, cmap="inferno", vmin=0, vmax=1)
+    for axis, caption in zip(grid[0], ("colour", "height", f"label by {means}", "predicted"), strict=True):
+        axis.set_title(caption, fontsize=9)
+    figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def heatmaps(
+    robot: Robot,
+    models: dict[str, AffordanceModule],
+    policy: Policy,
+    scenes: int,
+    title: str,
+    folder: Path,
+    kind: str = "evaluate",
+) -> None:
+    """Test scenes through several models, and the last model's pick carried out.
+
+    Writes ``heatmaps.png`` and ``picks.png``.
+
+    Args:
+        robot: Reset to each scene.
+        models: By the caption to show; the last one chooses the picks. Heatmaps are maxima over angles.
+        policy: Turns affordances into a pick.
+        scenes: Of each split.
+        title: Over the figures.
+        folder: Where to.
+        kind: Whose scenes they are, those of ``evaluate`` or of ``develop``.
+    """
+    columns, rows = 1 + len(models), scenes * len(SPLITS)
+    size = (COLUMN * columns, _row(robot.workspace.shape) * rows + 0.3)
+    maps, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
+    picks, views = plt.subplots(2, 2, figsize=(11, 7))
+    chooser = list(models.values())[-1]
+    for row, (split, run) in enumerate((s, r) for s in SPLITS for r in range(scenes)):
+        robot.reset(scene_seed(split, run, kind), split)
+        result = attempt(robot, chooser.affordances, policy.fresh())
+        heightmap = result.heightmap
+        caption = f"{split} objects, pick: {result.outcome.cause}"
+        _picture(grid[row][0], heightmap, result.pick, robot, caption)
+        for axis, (name, model) in zip(grid[row][1:], models.items(), strict=True):
+            axis.imshow(model.affordances(heightmap.color, heightmap.height).max(0), cmap="inferno")
+            axis.set_title(name, fontsize=9)
+        if run == 0:
+            side = views[SPLITS.index(split)]
+            side[0].imshow(result.observation.color)
+            side[0].set_title("from the camera", fontsize=9)
+            _picture(side[1], heightmap, result.pick, robot, caption)
+    maps.suptitle(title, fontsize=10)
+    picks.suptitle(title, fontsize=10)
+    _save(maps, folder / "heatmaps.png")
+    _save(picks, folder / "picks.png")
+
+
+def _row(shape: tuple[int, ...]) -> float:
+    """Inches that a heightmap of this shape takes with its caption, ``COLUMN`` wide."""
+    return COLUMN * shape[0] / shape[1] + 0.25
+
+
+def _picture(axis: Axes, heightmap: Heightmap, pick: Pick, robot: Robot, caption: str) -> None:
+    """A heightmap with the pick on it; for a grasp, a line between the open jaws."""
+    axis.imshow(heightmap.color)
+    axis.set_title(caption, fontsize=9)
+    axis.plot(pick.col, pick.row, "o", color="white", markeredgecolor="black", markersize=6)
+    if robot.half_opening:
+        reach = robot.half_opening / robot.workspace.pixel
+        du, dv = reach * math.cos(pick.angle), -reach * math.sin(pick.angle)
+        axis.plot([pick.col - du, pick.col + du], [pick.row - dv, pick.row + dv], "-", color="white", linewidth=2.5)
+    axis.set_xlim(-0.5, heightmap.height.shape[1] - 0.5)
+    axis.set_ylim(heightmap.height.shape[0] - 0.5, -0.5)
+
+
+def _overlay(axis: Axes, heightmap: Heightmap, label: np.ndarray) -> None:
+    picture = heightmap.color.astype(float) / 255 * 0.6
+    picture[label] = (1.0, 0.85, 0.1)
+    axis.imshow(picture)
+
+
+def _save(figure: plt.Figure, path: Path) -> None:
+    for axis in figure.axes:
+        if axis.images:
+            axis.set_xticks([])
+            axis.set_yticks([])
+    figure.tight_layout()
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=110, format="png")
+    plt.close(figure)

@@ -1,0 +1,129 @@
+"""What is special about jobs of a sweep: they may make no sense, be finished elsewhere, or fail without ending the others."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from see2act.errors import DamagedFile
+from see2act.experiment.results import versions
+from see2act.files import read_json, replacing
+
+log = logging.getLogger("see2act")
+SKIPPED, LEFT_OUT, MISSING, FAILED, OTHER = "skipped.txt", "left_out.txt", "missing.txt", "failed.txt", "other_version.txt"
+"""Notes that a job leaves in its folder: one line each."""
+TOLD = {
+    SKIPPED: "combinations were skipped, since they make no sense",
+    LEFT_OUT: "cells were left out, since the experiment does not name them: cells=[] runs all that make sense",
+    MISSING: "jobs were skipped, since their weights are not here",
+    OTHER: (
+        "runs are of another version of the code, and were not touched: to run one anew, add its primitive=, task=, transfer= "
+        "and seed= to the same command, and force=true, which moves the old one aside"
+    ),
+    FAILED: "jobs FAILED, and run again when the same sweep is started again",
+}
+OF_CELLS, NOT_RUN = (SKIPPED, LEFT_OUT), (MISSING, OTHER, FAILED)
+"""Notes that say the same of all seeds, and notes of one run."""
+
+
+class Summary(Callback):
+    """Says at the end of a sweep what was not run, and why.
+
+    Hydra makes one for the whole sweep and one in each job.
+    """
+
+    failures = 0
+    """Jobs of this process's sweep that failed."""
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        """Hydra calls this before the first job."""
+        self._start = time.time()
+
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        """Hydra calls this after the last job. Jobs run in processes of their own, so they leave notes."""
+        folder = Path(config.hydra.sweep.dir)
+        for name, words in TOLD.items():
+            notes = [note for note in sorted(folder.rglob(name)) if note.stat().st_mtime >= self._start]
+            lines = [f"{note.parent.relative_to(folder)}: {note.read_text()}" for note in notes]
+            if name in OF_CELLS:
+                lines = sorted({note.read_text() for note in notes})
+            if lines:
+                log.info("%d %s:\n  %s", len(lines), words, "\n  ".join(lines))
+            if name == FAILED:
+                Summary.failures = len(lines)
+        jobs = [path.parent.parent for path in folder.rglob(".hydra/config.yaml") if path.stat().st_mtime >= self._start]
+        if jobs and not any((job / name).exists() for job in jobs for name in ("run.json", "result.json", *NOT_RUN)):
+            log.error("not one job ran: none of these combinations makes sense and is a cell of the experiment")
+            Summary.failures += 1
+
+
+def note(folder: Path, name: str, text: str) -> None:
+    """Leave a note of one line in a job's folder."""
+    (folder / name).write_text(" ".join(text.split()))
+
+
+def clear_notes(folder: Path) -> None:
+    """Remove those of an earlier try."""
+    for name in TOLD:
+        (folder / name).unlink(missing_ok=True)
+
+
+def finished_elsewhere(folder: Path, sweep: Path) -> Path | None:
+    """The same run, finished by this version of the code in another experiment's sweep.
+
+    None where there is none, or where this folder has begun its own.
+    """
+    if any((folder / name).exists() for name in ("run.json", "result.json")):
+        return None
+    others = sorted(sweep.parent.glob(f"*/{folder.absolute().relative_to(sweep)}/result.json"))
+    return next((result.parent for result in others if _usable(result)), None)
+
+
+def _usable(result: Path) -> bool:
+    try:
+        return of_this_version(result)
+    except DamagedFile:  # whoever goes on with that sweep is told
+        return False
+
+
+def link(twin: Path, folder: Path) -> None:
+    """Make everything a finished run left appear in ``folder`` too.
+
+    By hard links, which take no room and last when the other run is moved aside or deleted. What was cut short is linked anew.
+    """
+    # A result means done, so it comes after all that belongs to it; run.json alone would mean half a run.
+    for path in sorted(twin.iterdir(), key=lambda path: (path.name == "run.json", path.name == "result.json")):
+        there = folder / path.name
+        if path.name.startswith(".") or path.name in TOLD:
+            continue
+        if path.is_dir():
+            shutil.copytree(path, there, copy_function=_share, dirs_exist_ok=True)
+        else:
+            _share(path, there)
+    log.info("the same run is finished in %s: linked, not run again", twin)
+
+
+def _share(path: str | Path, there: str | Path) -> None:
+    try:
+        os.link(path, there)
+    except FileExistsError:
+        return
+    except OSError:  # a file system without hard links
+        with replacing(Path(there)) as partial:
+            shutil.copy2(path, partial)
+
+
+def of_this_version(result: Path) -> bool:
+    """Whether the run of a ``result.json`` was made by this code and these packages.
+
+    Raises:
+        DamagedFile: It is none.
+    """
+    return bool(read_json(result).get("versions") == versions())

@@ -1,0 +1,148 @@
+"""A fine-tuned model in one small file, with everything that is needed to pick with it elsewhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hydra.errors import HydraException
+from hydra.utils import get_class, instantiate
+from jaxtyping import Float, UInt8
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
+from safetensors.torch import save as serialized
+from torch import Tensor
+
+from see2act.errors import UserError
+from see2act.experiment.config import config_hash, relevant_robot
+from see2act.files import replacing
+from see2act.modules.affordance import affordances
+from see2act.modules.network import PixelNetwork
+from see2act.modules.rotation import Rotations
+
+FILE = "model.safetensors"
+"""Its name among a run's checkpoints."""
+CONFIG, HASH = "see2act.experiment.config", "see2act.config_hash"
+"""Names in the file's metadata."""
+WITHOUT = ("hydra", "paths", "logger")
+"""Keys of the configuration that say nothing about the model."""
+
+
+class ModelFileError(UserError, ValueError):
+    """A file that is no trained model; the message is one line and names the mend."""
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """What picks, and what it learned with."""
+
+    network: PixelNetwork
+    config: DictConfig
+    """Of the run that trained it, resolved; without what says nothing about the model."""
+    config_hash: str
+
+    @property
+    def primitive(self) -> str:
+        """``suction`` or ``grasp``."""
+        return str(self.config.primitive.name)
+
+    @property
+    def pixel(self) -> float:
+        """Metres a pixel of the heightmaps it learned from."""
+        return float(self.config.workspace.pixel)
+
+    def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
+        """Logits of success for every angle (a share k / A of half a turn) at every pixel of a heightmap of any size."""
+        rotations = _rotations(height.shape, int(self.config.primitive.angles), self.network.stride, self.network.reach)
+        return affordances(self.network, rotations.to(self.network.device), color, height)
+
+
+def save(path: Path, network: PixelNetwork, cfg: DictConfig) -> None:
+    """Write the network that acts, and the configuration it was trained by."""
+    config = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in ("hydra", "logger")])
+    plain: Any = OmegaConf.to_container(config, resolve=True)
+    plain = {key: value for key, value in plain.items() if key not in WITHOUT}
+    plain["robot"] = relevant_robot(cfg)
+    metadata = {CONFIG: json.dumps(plain), HASH: config_hash(cfg)}
+    state = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
+    with replacing(path) as partial:
+        partial.write_bytes(serialized(state, metadata))
+
+
+def load(path: Path, primitive: str | None = None) -> TrainedModel:
+    """Read what :func:`save` wrote.
+
+    Args:
+        path: The file.
+        primitive: What it must have been trained for; None takes any.
+
+    Raises:
+        ModelFileError: It is not there, is another kind of file, or of another primitive.
+    """
+    if not path.is_file():
+        raise ModelFileError(f"{path} is not there: give checkpoints/{FILE} of a finished run, or one of models/")
+    try:
+        metadata = _metadata(path)
+        state = load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise ModelFileError(
+            f"{path} cannot be read as safetensors ({error}): give checkpoints/{FILE} of a finished run, or one of models/"
+        ) from None
+    if CONFIG not in metadata:
+        raise ModelFileError(f"{path} says nothing of its configuration: give checkpoints/{FILE} of a finished run")
+    try:
+        model = _model(metadata, state)
+    except (ImportError, LookupError, ValueError, RuntimeError, HydraException, OmegaConfBaseException) as error:
+        raise ModelFileError(
+            f"{path} holds no model of this version ({' '.join(str(error).split())[:200]}): give checkpoints/{FILE} of a "
+            "finished run; for a network of your own, its module must be on PYTHONPATH"
+        ) from None
+    if primitive not in (None, model.primitive):
+        raise ModelFileError(f"{path} was trained for primitive={model.primitive}, not {primitive}: give one of {primitive}")
+    return model
+
+
+def is_model(path: Path) -> bool:
+    """Whether a file is one that :func:`save` wrote."""
+    try:
+        return CONFIG in _metadata(path)
+    except (SafetensorError, OSError):
+        return False
+
+
+def _model(metadata: Mapping[str, str], state: dict[str, Tensor]) -> TrainedModel:
+    config = OmegaConf.create(json.loads(metadata[CONFIG]))
+    assert isinstance(config, DictConfig)
+    network = _built(config.model.network)
+    network.load_state_dict(state)
+    network.speed_up("fp32")  # exact, and the same on every processor
+    return TrainedModel(network.eval(), config, metadata[HASH])
+
+
+def _built(node: DictConfig) -> PixelNetwork:
+    """The network that a file names, and nothing else that a file might want called.
+
+    Raises:
+        ValueError: It names something else.
+    """
+    if not issubclass(get_class(node._target_), PixelNetwork) or any(OmegaConf.is_config(node[key]) for key in node):
+        raise ValueError(f"{node._target_} is no network that is made of numbers and words")
+    network: PixelNetwork = instantiate(node)
+    return network
+
+
+def _metadata(path: Path) -> Mapping[str, str]:
+    with safe_open(path, "pt") as file:
+        return dict(file.metadata() or {})
+
+
+@lru_cache(maxsize=2)  # hundreds of megabytes each, for a large heightmap with sixteen angles
+def _rotations(shape: tuple[int, int], angles: int, stride: int, reach: int) -> Rotations:
+    return Rotations(shape, angles, stride, reach)
