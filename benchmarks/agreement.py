@@ -37,7 +37,7 @@ def measure(overrides: list[str], primitive: str, setting: str, runs: int) -> di
         collection = run.collect()
         module, _ = run.transfer(collection, run.pretrain(collection))
     cfg = composed([*base, *SETTINGS[setting]])
-    module.network.speed_up(cfg.precision)
+    module.network.set_precision(cfg.precision)
     robot = build.robot_factory(cfg, cfg.primitive)()
     protocol = Protocol(runs, dict(cfg.evaluate.attempts), scenes="develop")
     result = evaluate(robot, module.affordances, build.policy(cfg), protocol, lambda attempt, **where: None)

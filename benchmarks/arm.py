@@ -6,14 +6,14 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.robot.arm import JOINTS, pointing_down
 from see2act.robot.robot import LIFT, SimulatedRobot
 from see2act.robot.types import Pick
 from see2act.seeding import generator, seed_for
-
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 
 ANGLES = 16
 TARGETS = {"position": 0.0005, "rotation": 0.2, "limit": 0.2, "penetration": 0.002}

@@ -6,6 +6,8 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+
+from benchmarks.common import arguments, at_least_one, finish, parsed, spread
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.experiment.evaluation import SPLITS
@@ -14,8 +16,6 @@ from see2act.robot.robot import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
 from see2act.robot.types import Split
 from see2act.seeding import seed_for
-
-from benchmarks.common import arguments, at_least_one, finish, parsed, spread
 
 TARGETS = {
     "coverage": (0.15, 0.45),

@@ -35,7 +35,7 @@ def compare(overrides: list[str], primitive: str, first: int, looks: int) -> dic
     plain = trained.load(MODELS / f"{primitive}.safetensors", primitive).network.to(memory_format=torch.contiguous_format)
     plain._layout = torch.contiguous_format
     fast = copy.deepcopy(plain)
-    fast.speed_up(cfg.precision)
+    fast.set_precision(cfg.precision)
     robot = build.robot_factory(cfg, cfg.primitive)()
     rotations = Rotations(robot.workspace.shape, cfg.primitive.angles, plain.stride, plain.reach)
     row: dict[str, Any] = {"primitive": primitive, "precision": cfg.precision, "decisions": 0, "same": 0}

@@ -14,11 +14,11 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
+
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, pool_of
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.seeding import generator, seed_for
-
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, pool_of
 
 PICKS = 5
 """In each scene, on random pixels of objects."""

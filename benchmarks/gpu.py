@@ -14,14 +14,15 @@ from time import perf_counter
 from typing import Any
 
 import torch
+from lightning.pytorch.utilities import move_data_to_device
 from omegaconf import DictConfig
-from see2act.commands.train import run
-from see2act.experiment.config import composed
-from see2act.files import read_json
-from see2act.modules.affordance import AffordanceModule
 
 from benchmarks.common import PRIMITIVES, Work, timed
 from benchmarks.stages import _backward, _batch, _heightmap, _module
+from see2act.commands.train import run
+from see2act.experiment.config import composed
+from see2act.files import read_json
+from see2act.modules.affordance import AffordanceModule, AttemptBatch
 
 MODELS = ("fcn7", "rpn_r50_fpn")
 SHORT = (
@@ -47,14 +48,14 @@ def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
 
 def _pieces(cfg: DictConfig, name: str, repeats: int) -> Iterator[dict[str, Any]]:
     here = _module(cfg)
-    here.network.speed_up("fp32")
+    here.network.set_precision("fp32")
     there = _module(cfg).to("cuda")
-    there.network.speed_up("fp32")
+    there.network.set_precision("fp32")
     heightmap, batch = _heightmap(cfg), _batch(cfg)
-    on_gpu = {key: value.to("cuda") for key, value in batch.items()}
+    on_gpu = move_data_to_device(batch, torch.device("cuda"))
     apart = abs(here.affordances(*heightmap) - there.affordances(*heightmap)).max()
     for precision in ("fp32", "bf16"):
-        there.network.speed_up(precision)
+        there.network.set_precision(precision)
         for piece, ours, plain in (
             ("decision", lambda: there.affordances(*heightmap), lambda: here.affordances(*heightmap)),
             ("learning step", lambda: _learn(there, on_gpu), lambda: _learn(here, batch)),
@@ -64,7 +65,7 @@ def _pieces(cfg: DictConfig, name: str, repeats: int) -> Iterator[dict[str, Any]
             yield {**row, "ratio": naive / seconds, "logits_differ_in_fp32": float(apart)}
 
 
-def _learn(module: AffordanceModule, batch: dict[str, torch.Tensor]) -> None:
+def _learn(module: AffordanceModule, batch: AttemptBatch) -> None:
     _backward(module, module.executed_logits(batch), batch)
 
 

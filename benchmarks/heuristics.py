@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
+
 from see2act.attempt import Affordances
 from see2act.robot.robot import SimulatedRobot
 

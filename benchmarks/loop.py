@@ -17,6 +17,8 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
+
+from benchmarks.common import faster, limit, measured, overhead, timed
 from see2act.datamodules.collect import Collection
 from see2act.datamodules.replay import Replay
 from see2act.datamodules.vision import VisionDataModule
@@ -28,8 +30,6 @@ from see2act.experiment.quiet import quiet
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.vision import VisionModule
 from see2act.seeding import generator, seed_for
-
-from benchmarks.common import faster, limit, measured, overhead, timed
 
 SOURCES = {"suction": "normal", "grasp": "foreground"}
 """A vision task that is best in the paper, for each primitive."""
@@ -165,11 +165,12 @@ def _stages(cfg: DictConfig, module: AffordanceModule, log: Path) -> Iterator[tu
             replay.add(heightmap.color, heightmap.height, choice.angle, choice.row, choice.col, outcome.success)
             for _ in range(cfg.finetune.updates):
                 optimizer.zero_grad()
-                module.training_step(replay.sample(cfg.finetune.batch_size), 0).backward()
+                batch = replay.sample(cfg.finetune.batch_size)
+                outputs = module.training_step(batch, 0)
+                outputs["loss"].backward()
                 optimizer.step()
                 module.on_train_batch_end()
-                assert module.surprise is not None
-                replay.update(module.surprise.numpy())
+                replay.update(batch.replay_index.numpy(), outputs["td_error"].numpy())
     robot.close()
     yield from seconds.items()
 
@@ -181,11 +182,13 @@ def pretraining(run: Run, collection: Collection, repeats: int) -> tuple[list[di
         Rows, and the seconds of an image.
     """
     cfg = run.cfg
-    data = VisionDataModule(collection, build.task(cfg), cfg.labels, cfg.pretrain.batch_size, cfg.pretrain.validation, 0)
+    data = VisionDataModule(
+        collection, build.task(cfg), cfg.labels, batch_size=cfg.pretrain.batch_size, validation=cfg.pretrain.validation, seed=0
+    )
     steps = len(data.train_dataloader())
-    module = VisionModule(run._network(0), cfg.pretrain.lr, cfg.pretrain.weight_decay, 1.0, 0)
+    module = VisionModule(run._network(0), lr=cfg.pretrain.lr, weight_decay=cfg.pretrain.weight_decay, pos_weight=1.0, seed=0)
     batch = next(iter(data.train_dataloader()))
-    x, label = module.network.prepare(batch["color"], batch["height"]), batch["label"][:, None].float()
+    x, label = module.network.prepare(batch.color, batch.height), batch.label[:, None].float()
     ours, bare = [], []
     for _ in range(max(1, repeats // 3)):
         trainer = run._trainer(max_epochs=1, limit_val_batches=0, enable_progress_bar=False)

@@ -12,6 +12,8 @@ from itertools import count
 from typing import Any
 
 import numpy as np
+
+from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.experiment.evaluation import SPLITS
@@ -19,8 +21,6 @@ from see2act.robot.oracle import ExactHeights, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Pick
 from see2act.seeding import generator, seed_for
-
-from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 
 KINDS = ("best", "random", "tilted", "edge", "knocked", "heavy")
 PER_SCENE = 10

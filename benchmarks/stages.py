@@ -15,19 +15,19 @@ import torch
 import torch.nn.functional as F
 from hydra.utils import instantiate
 from omegaconf import DictConfig
+from torch import Tensor
+
+from benchmarks.common import PRIMITIVES, Work, faster, limit, not_here, overhead, race, timed
 from see2act.datamodules.replay import Replay
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.experiment.evaluation import scene_seed
 from see2act.experiment.processor import computes_bf16
-from see2act.modules.affordance import AffordanceModule
+from see2act.modules.affordance import AffordanceModule, AttemptBatch
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.network import PRECISIONS, PixelNetwork
 from see2act.robot.robot import SimulatedRobot
 from see2act.seeding import generator
-from torch import Tensor
-
-from benchmarks.common import PRIMITIVES, Work, faster, limit, not_here, overhead, race, timed
 
 GRADIENT = 1e-4
 """By which gradients of the part and of the whole heightmap may differ, as a share of the largest, in one layout.
@@ -145,8 +145,8 @@ def learning(overrides: list[str], model: str, primitive: str, repeats: int) -> 
     plain, batch = _module(cfg), _batch(cfg)
 
     def whole() -> None:
-        x, angles = plain.network.prepare(batch["color"], batch["height"]), batch["angle"]
-        rows, cols = plain.rotations.locate(angles, batch["row"], batch["col"])
+        x, angles = plain.network.prepare(batch.color, batch.height), batch.angle
+        rows, cols = plain.rotations.locate(angles, batch.row, batch.col)
         canvases = [plain.rotations.canvases[angle] for angle in angles.tolist()]
         logits = torch.empty(len(x))
         for canvas in dict.fromkeys(canvases):
@@ -195,8 +195,8 @@ def remembering(overrides: list[str], repeats: int) -> list[dict[str, Any]]:
             replay.add(*several[i % len(several)], 0, 72, 72, i % 3 == 0)
 
         def draw() -> None:
-            replay.sample(cfg.finetune.batch_size)
-            replay.update(np.linspace(0, 1, cfg.finetune.batch_size))
+            batch = replay.sample(cfg.finetune.batch_size)
+            replay.update(batch.replay_index.numpy(), np.linspace(0, 1, cfg.finetune.batch_size))
 
         return draw
 
@@ -218,12 +218,21 @@ def _module(cfg: DictConfig) -> AffordanceModule:
         layer.running_var.uniform_(0.5, 2)
     network.normalization.set(torch.full((4,), 0.3), torch.full((4,), 0.3))
     workspace = instantiate(cfg.workspace)
-    return AffordanceModule(network, workspace.shape, cfg.primitive.angles, 1e-4, 1e-4, 0.0, "frozen", 0.0)
+    return AffordanceModule(
+        network,
+        shape=workspace.shape,
+        angles=cfg.primitive.angles,
+        backbone_lr=1e-4,
+        head_lr=1e-4,
+        weight_decay=0.0,
+        batchnorm="frozen",
+        averaging=0.0,
+    )
 
 
 def _fast(module: AffordanceModule, precision: str) -> AffordanceModule:
     fast = copy.deepcopy(module)
-    fast.network.speed_up(precision)
+    fast.network.set_precision(precision)
     return fast
 
 
@@ -232,22 +241,24 @@ def _heightmap(cfg: DictConfig) -> tuple[np.ndarray, np.ndarray]:
     return rng.integers(0, 256, (*shape, 3), dtype=np.uint8), rng.random(shape, np.float32) * 0.1
 
 
-def _batch(cfg: DictConfig) -> dict[str, Tensor]:
+def _batch(cfg: DictConfig) -> AttemptBatch:
     color, height = _heightmap(cfg)
     rng, n = generator("benchmarks/stages/batch"), cfg.finetune.batch_size
-    return {
-        "color": torch.from_numpy(np.stack([color] * n)),
-        "height": torch.from_numpy(np.stack([height] * n)),
-        "angle": torch.from_numpy(rng.integers(cfg.primitive.angles, size=n)),
-        "row": torch.from_numpy(rng.integers(height.shape[0], size=n)),
-        "col": torch.from_numpy(rng.integers(height.shape[1], size=n)),
-        "label": torch.from_numpy(rng.integers(2, size=n)).float(),
-    }
+    return AttemptBatch(
+        color=torch.from_numpy(np.stack([color] * n)),
+        height=torch.from_numpy(np.stack([height] * n)),
+        angle=torch.from_numpy(rng.integers(cfg.primitive.angles, size=n)),
+        row=torch.from_numpy(rng.integers(height.shape[0], size=n)),
+        col=torch.from_numpy(rng.integers(height.shape[1], size=n)),
+        label=torch.from_numpy(rng.integers(2, size=n)).float(),
+        weight=torch.ones(n),
+        replay_index=torch.arange(n),
+    )
 
 
-def _backward(module: AffordanceModule, logits: Tensor, batch: dict[str, Tensor]) -> None:
+def _backward(module: AffordanceModule, logits: Tensor, batch: AttemptBatch) -> None:
     module.zero_grad()
-    F.binary_cross_entropy_with_logits(logits, batch["label"]).backward()
+    F.binary_cross_entropy_with_logits(logits, batch.label).backward()
 
 
 def _same_gradient(part: AffordanceModule, plain: AffordanceModule) -> None:

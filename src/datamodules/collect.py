@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
+from tqdm import tqdm
+
 from see2act.datamodules.labels import View
 from see2act.files import replacing
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap
 from see2act.seeding import generator, seed_for
-from tqdm import tqdm
 
 RobotFactory = Callable[[], Robot]
 SCENES_IN_A_ROW = 3

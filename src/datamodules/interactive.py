@@ -1,4 +1,8 @@
-"""Trial and error: the datamodule acts, and what happened becomes training data."""
+"""Trial and error: robots attempt picks with the current model, and the model learns from their outcomes.
+
+:class:`TrialAndError` is the learning loop. It works on an :class:`InteractiveDataModule`, which holds the robots, what is
+going on in their bins, and the replay.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +15,110 @@ from statistics import fmean
 from typing import Any
 
 import lightning as L
-from torch import Tensor
 from tqdm import tqdm
 
 from see2act.attempt import Affordances, Attempt, decide
 from see2act.datamodules.replay import Replay
 from see2act.files import replacing
+from see2act.modules.affordance import AffordanceModule, AttemptBatch
 from see2act.policy import Choice, Policy
 from see2act.robot.group import RobotGroup
-from see2act.robot.types import Pick
+from see2act.robot.types import Observation, Outcome, Pick
 from see2act.robot.workspace import Workspace
 from see2act.seeding import generator, seed_for
 
 RECENT = 20
-"""Attempts over which the log's success rate is taken."""
+"""Attempts over which the logged success rate is taken."""
+Decision = tuple[Choice, Pick]
+
+
+@dataclass(frozen=True)
+class TrainingAttempt:
+    """An attempt of the learning loop, and where it belongs."""
+
+    attempt: Attempt
+    step: int
+    """Its number, from 1."""
+    episode: int
+    scene_seed: int
+
+
+class TrialAndError(L.Callback):
+    """The learning loop. One epoch of the trainer is one attempt of each robot and the learning steps that follow it.
+
+    Args:
+        data: The trainer's datamodule.
+        attempts: How many there will be.
+        record: Called with each attempt and the seconds of learning it took.
+        checkpoint: Written whenever an episode ends.
+        evaluate_at: Attempts after which ``evaluate`` is called with the number of attempts.
+        evaluate: Measures the present model; must not touch the datamodule's robots or generators.
+    """
+
+    def __init__(
+        self,
+        data: InteractiveDataModule,
+        attempts: int,
+        record: Callable[[TrainingAttempt, float], object],
+        checkpoint: Path,
+        evaluate_at: list[int],
+        evaluate: Callable[[int], None],
+    ):
+        self._data, self._attempts, self._record = data, attempts, record
+        self._checkpoint, self._evaluate_at, self._evaluate = checkpoint, evaluate_at, evaluate
+
+    def on_train_epoch_start(self, trainer: L.Trainer, module: AffordanceModule) -> None:  # type: ignore[override]
+        """Observe, decide, act, remember. The learning steps of the epoch follow."""
+        data, clock = self._data, [time.perf_counter()]
+        data.start_episodes()
+        observations = data.observe()
+        clock.append(time.perf_counter())
+        decisions = data.decide(observations, module.affordances)
+        clock.append(time.perf_counter())
+        outcomes = data.act(decisions)
+        clock.append(time.perf_counter())
+        self._made = data.remember(observations, decisions, outcomes, [after - before for before, after in pairwise(clock)])
+        self._learning_since = time.perf_counter()
+
+    def on_train_batch_end(  # type: ignore[override]
+        self, trainer: L.Trainer, module: L.LightningModule, outputs: dict[str, Any], batch: AttemptBatch, index: int
+    ) -> None:
+        """Learn: after each step on a batch of the replay, the batch gets new priorities."""
+        self._drawn = batch.replay_index.cpu().numpy()
+        self._data.replay.update(self._drawn, outputs["td_error"].cpu().numpy())
+
+    def on_train_epoch_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        """Log, evaluate, save."""
+        data, made = self._data, self._made
+        seconds = (time.perf_counter() - self._learning_since) / len(made)
+        for attempt in made:
+            self._record(attempt, seconds)
+        self._log(module)
+        if data.attempts in self._evaluate_at:
+            self._evaluate(data.attempts)
+        if data.an_episode_is_over and data.attempts < self._attempts:
+            with replacing(self._checkpoint) as partial:  # a kill while writing must not cost the run
+                trainer.save_checkpoint(partial)
+
+    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._bar = tqdm(total=self._attempts, initial=self._data.attempts, desc="fine-tune", disable=None)
+
+    def on_train_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
+        self._bar.close()
+
+    def _log(self, module: L.LightningModule) -> None:
+        choices = [made.attempt.choice for made in self._made]
+        success = self._data.replay.success(RECENT)
+        module.log_dict(
+            {
+                "affordance/success": success,
+                "affordance/score": fmean(choice.score for choice in choices),
+                "affordance/entropy": fmean(choice.entropy for choice in choices),
+                **{f"replay/{name}": value for name, value in self._data.replay.statistics(self._drawn).items()},
+            }
+        )
+        self._bar.set_postfix(success=f"{success:.2f}", refresh=False)
+        self._bar.update(len(self._made))
 
 
 @dataclass
@@ -33,17 +127,17 @@ class _Bin:
 
     policy: Policy
     episode: int = -1
-    choices: list[tuple[Choice, Pick]] = field(default_factory=list)
-    """Of its present episode, so far."""
+    decisions: list[Decision] = field(default_factory=list)
+    """Of the present episode so far."""
     over: bool = True
     """Whether the next attempt starts with a new scene."""
 
 
 class InteractiveDataModule(L.LightningDataModule):
-    """In an epoch each robot tries once with the current model, then replay batches follow.
+    """Robots, the state of their bins, and the replay that learning steps draw from.
 
-    Robots try at the same time, their attempts are remembered in the order of their numbers, and a robot whose episode is
-    over takes the next scene. So all of it follows from the seed and the number of robots.
+    Robots act at the same time. Their attempts are remembered in the order of their numbers, and a robot whose episode is over
+    takes the next scene. So everything follows from the seed and the number of robots.
 
     Args:
         robots: Act in scenes of seen objects.
@@ -51,11 +145,11 @@ class InteractiveDataModule(L.LightningDataModule):
         policy: The rule for picks.
         replay: Remembers attempts.
         seed: The run's seed; scenes and exploration follow from it.
-        batch_size: Transitions a learning step.
-        updates: Learning steps for each attempt.
+        batch_size: Attempts per learning step.
+        updates: Learning steps per attempt.
         temperature: Of the softmax over scores that picks are drawn from; 0 takes the best.
         episode_attempts: Attempts after which a bin that is not yet empty is given up.
-        scenes: Which scenes: ``evaluate`` for the benchmark's, ``develop`` for others, to choose settings by.
+        scenes: ``evaluate`` for the benchmark's scenes, ``develop`` for others, to choose settings by.
     """
 
     def __init__(
@@ -64,6 +158,7 @@ class InteractiveDataModule(L.LightningDataModule):
         workspace: Workspace,
         policy: Policy,
         replay: Replay,
+        *,
         seed: int,
         batch_size: int,
         updates: int,
@@ -81,55 +176,77 @@ class InteractiveDataModule(L.LightningDataModule):
         self._next_episode = 0
         self.attempts = 0
         """Attempts so far."""
-        self.last: list[tuple[Attempt, int]] = []
-        """Attempts of the last epoch, with the episode of each."""
 
     @property
     def an_episode_is_over(self) -> bool:
-        """Whether a robot starts its next attempt with a new scene: when it is worth to write down where to go on."""
+        """Whether a robot starts its next attempt with a new scene. Then a checkpoint needs the fewest picks repeated."""
         return any(bin.over for bin in self._bins)
 
-    @property
-    def updates(self) -> int:
-        """Learning steps in an epoch."""
-        return self._updates * len(self._bins)
+    def start_episodes(self) -> None:
+        """New scenes where an episode is over."""
+        scenes: dict[int, tuple] = {}
+        for i, bin in enumerate(self._bins):
+            if bin.over:
+                bin.episode, bin.decisions, bin.over = self._next_episode, [], False
+                bin.policy.forget()
+                self._next_episode += 1
+                scenes[i] = (self.scene_seed(bin.episode), "seen")
+        self._robots.call("reset", scenes)
+
+    def observe(self) -> list[Observation]:
+        """What each robot sees."""
+        return list(self._robots.call("observe", self._everyone()).values())
+
+    def decide(self, observations: list[Observation], affordances: Affordances) -> list[Decision]:
+        """Where each robot picks next, by the model's affordances and the policy."""
+        return [
+            decide(observation, self._workspace, affordances, bin.policy, self._temperature, self._explore)
+            for bin, observation in zip(self._bins, observations, strict=True)
+        ]
+
+    def act(self, decisions: list[Decision]) -> list[Outcome]:
+        """Execute the picks, all robots at once."""
+        return list(self._robots.call("execute", {i: (pick,) for i, (_, pick) in enumerate(decisions)}).values())
+
+    def remember(
+        self, observations: list[Observation], decisions: list[Decision], outcomes: list[Outcome], seconds: list[float]
+    ) -> list[TrainingAttempt]:
+        """Add the attempts to the replay, and end the episodes of bins that are empty or given up.
+
+        Args:
+            observations, decisions, outcomes: By robot.
+            seconds: Wall time that observing, deciding and acting took, all robots together.
+        """
+        empty = self._robots.call("bin_empty", self._everyone())
+        made = []
+        for i, (bin, observation, (choice, pick), outcome) in enumerate(
+            zip(self._bins, observations, decisions, outcomes, strict=True)
+        ):
+            heightmap = observation.heightmap
+            bin.policy.remember(choice, heightmap, outcome.success)
+            bin.decisions.append((choice, pick))
+            bin.over = empty[i] or len(bin.decisions) >= self._episode_attempts
+            self.replay.add(heightmap.color, heightmap.height, choice.angle, choice.row, choice.col, outcome.success)
+            self.attempts += 1
+            attempt = Attempt(observation, choice, pick, outcome, *(s / len(self._bins) for s in seconds))
+            made.append(TrainingAttempt(attempt, self.attempts, bin.episode, self.scene_seed(bin.episode)))
+        return made
+
+    def train_dataloader(self) -> _ReplayBatches:
+        return _ReplayBatches(self.replay, self._updates * len(self._bins), self._batch_size)
 
     def scene_seed(self, episode: int) -> int:
-        """Of the scene of an episode."""
+        """Seed of the scene of an episode."""
         return seed_for(self._scenes, self._seed, episode)
-
-    def act(self, affordances: Affordances) -> None:
-        """One attempt of each robot: observe, decide, act, remember."""
-        self._fill_bins()
-        everyone = range(len(self._bins))
-        start = time.perf_counter()
-        observations = self._robots.call("observe", dict.fromkeys(everyone, ()))
-        seen = time.perf_counter()
-        for i, bin in enumerate(self._bins):
-            bin.choices.append(
-                decide(observations[i], self._workspace, affordances, bin.policy, self._temperature, self._explore)
-            )
-        decided = time.perf_counter()
-        outcomes = self._robots.call("execute", {i: (bin.choices[-1][1],) for i, bin in enumerate(self._bins)})
-        acted = time.perf_counter()
-        empty = self._robots.call("bin_empty", dict.fromkeys(everyone, ()))
-        each = [(later - before) / len(self._bins) for before, later in pairwise((start, seen, decided, acted))]
-        self.last = []
-        for i, bin in enumerate(self._bins):
-            (choice, pick), heightmap, outcome = bin.choices[-1], observations[i].heightmap, outcomes[i]
-            bin.policy.remember(choice, heightmap, outcome.success)
-            self.replay.add(heightmap.color, heightmap.height, choice.angle, choice.row, choice.col, outcome.success)
-            self.last.append((Attempt(observations[i], choice, pick, outcome, *each), bin.episode))
-            bin.over = empty[i] or len(bin.choices) >= self._episode_attempts
-        self.attempts += len(self._bins)
-
-    def train_dataloader(self) -> _ActThenReplay:
-        return _ActThenReplay(self)
 
     def state_dict(self) -> dict[str, Any]:
         """Of a robot in the middle of an episode the picks so far: :meth:`load_state_dict` makes them again."""
         bins = [
-            {"episode": bin.episode, "over": bin.over, "choices": [] if bin.over else [_plain(*made) for made in bin.choices]}
+            {
+                "episode": bin.episode,
+                "over": bin.over,
+                "decisions": [] if bin.over else [[asdict(choice), asdict(pick)] for choice, pick in bin.decisions],
+            }
             for bin in self._bins
         ]
         return {
@@ -146,126 +263,33 @@ class InteractiveDataModule(L.LightningDataModule):
         self.attempts, self._next_episode = state["attempts"], state["next_episode"]
         for bin, kept in zip(self._bins, state["bins"], strict=True):
             bin.episode, bin.over = kept["episode"], kept["over"]
-            bin.choices = [(Choice(**choice), Pick(**pick)) for choice, pick in kept["choices"]]
-        self._make_again()
+            bin.decisions = [(Choice(**choice), Pick(**pick)) for choice, pick in kept["decisions"]]
+        self._repeat_episodes()
 
-    def batches(self, affordances: Affordances) -> Iterator[dict[str, Tensor]]:
-        """The attempts of an epoch, then its learning batches."""
-        self.act(affordances)
-        for _ in range(self.updates):
-            yield self.replay.sample(self._batch_size)
-
-    def _fill_bins(self) -> None:
-        """New scenes where an episode is over."""
-        scenes: dict[int, tuple] = {}
-        for i, bin in enumerate(self._bins):
-            if bin.over:
-                bin.episode, bin.choices, bin.over = self._next_episode, [], False
-                bin.policy.forget()
-                self._next_episode += 1
-                scenes[i] = (self.scene_seed(bin.episode), "seen")
-        self._robots.call("reset", scenes)
-
-    def _make_again(self) -> None:
+    def _repeat_episodes(self) -> None:
         """Bring each robot to where it was within its episode, by the same picks in the same scene."""
         under_way = {i: bin for i, bin in enumerate(self._bins) if not bin.over}
         self._robots.call("reset", {i: (self.scene_seed(bin.episode), "seen") for i, bin in under_way.items()})
         for k in range(self._episode_attempts):
-            going = {i: bin for i, bin in under_way.items() if k < len(bin.choices)}
+            going = {i: bin for i, bin in under_way.items() if k < len(bin.decisions)}
             observations = self._robots.call("observe", dict.fromkeys(going, ()))
-            outcomes = self._robots.call("execute", {i: (bin.choices[k][1],) for i, bin in going.items()})
+            outcomes = self._robots.call("execute", {i: (bin.decisions[k][1],) for i, bin in going.items()})
             for i, bin in going.items():
-                bin.policy.remember(bin.choices[k][0], observations[i].heightmap, outcomes[i].success)
+                bin.policy.remember(bin.decisions[k][0], observations[i].heightmap, outcomes[i].success)
+
+    def _everyone(self) -> dict[int, tuple]:
+        return dict.fromkeys(range(len(self._bins)), ())
 
 
-def _plain(choice: Choice, pick: Pick) -> list[dict[str, Any]]:
-    return [asdict(choice), asdict(pick)]
+class _ReplayBatches:
+    """The batches of an epoch. Without a length Lightning would fetch ahead, before a step has updated the priorities."""
 
-
-class _ActThenReplay:
-    """What Lightning iterates over. It has a length, so that Lightning does not fetch ahead with a stale model."""
-
-    def __init__(self, data: InteractiveDataModule):
-        self._data = data
+    def __init__(self, replay: Replay, count: int, size: int):
+        self._replay, self._count, self._size = replay, count, size
 
     def __len__(self) -> int:
-        return self._data.updates
+        return self._count
 
-    def __iter__(self) -> Iterator[dict[str, Tensor]]:
-        assert self._data.trainer is not None
-        module: Any = self._data.trainer.lightning_module
-        return self._data.batches(module.affordances)
-
-
-class TrialAndError(L.Callback):
-    """What happens around the learning steps: priorities, log, evaluation, checkpoints.
-
-    Args:
-        data: The datamodule.
-        attempts: How many there will be.
-        record: Called with each attempt, the seconds of learning it took, and where it belongs in the log.
-        checkpoint: Written whenever an episode ends.
-        evaluate_at: Attempts after which ``evaluate`` is called with the number of attempts.
-        evaluate: Measures the present model; must not touch the datamodule's robot or generators.
-        primitive: For the log.
-    """
-
-    def __init__(
-        self,
-        data: InteractiveDataModule,
-        attempts: int,
-        record: Callable[..., object],
-        checkpoint: Path,
-        evaluate_at: list[int],
-        evaluate: Callable[[int], None],
-        primitive: str,
-    ):
-        self._data, self._attempts, self._record = data, attempts, record
-        self._checkpoint, self._evaluate_at, self._evaluate = checkpoint, evaluate_at, evaluate
-        self._primitive = primitive
-
-    def on_train_start(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        self._bar = tqdm(total=self._attempts, initial=self._data.attempts, desc="fine-tune", disable=None)
-
-    def on_train_batch_start(self, trainer: L.Trainer, module: L.LightningModule, batch: Any, index: int) -> None:
-        if index == 0:
-            self._learning_since = time.perf_counter()
-
-    def on_train_batch_end(self, trainer: L.Trainer, module: Any, outputs: Any, batch: Any, index: int) -> None:
-        self._data.replay.update(module.surprise.cpu().numpy())
-
-    def on_train_epoch_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        data, results = self._data, self._data.last
-        t_learn = (time.perf_counter() - self._learning_since) / len(results)
-        for step, (result, episode) in enumerate(results, data.attempts - len(results) + 1):
-            self._record(
-                result,
-                t_learn,
-                phase="finetune",
-                split="seen",
-                policy=data.policy.name,
-                run=0,
-                step=step,
-                episode=episode,
-                scene_seed=data.scene_seed(episode),
-                primitive=self._primitive,
-            )
-        recent = data.replay.success(RECENT)
-        choices = [result.choice for result, _ in results]
-        measured = {
-            "success": recent,
-            "score": fmean(choice.score for choice in choices),
-            "entropy": fmean(choice.entropy for choice in choices),
-        }
-        module.log_dict({f"affordance/{name}": value for name, value in measured.items()})
-        module.log_dict({f"replay/{name}": value for name, value in data.replay.last_draw().items()})
-        self._bar.set_postfix(success=f"{recent:.2f}", refresh=False)
-        self._bar.update(len(results))
-        if data.attempts in self._evaluate_at:
-            self._evaluate(data.attempts)
-        if data.an_episode_is_over and data.attempts < self._attempts:
-            with replacing(self._checkpoint) as partial:  # a kill while writing must not cost the run
-                trainer.save_checkpoint(partial)
-
-    def on_train_end(self, trainer: L.Trainer, module: L.LightningModule) -> None:
-        self._bar.close()
+    def __iter__(self) -> Iterator[AttemptBatch]:
+        for _ in range(self._count):
+            yield self._replay.sample(self._size)

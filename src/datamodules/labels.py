@@ -1,6 +1,6 @@
 """The five vision tasks: how each labels a view of the bin (paper, section III-B).
 
-Every task labels a view by simulator truth (``truth``) or by the means of a real set-up (``vision``).
+Every task labels a view from the simulator's truth (``truth``), or from what a real set-up could see (``vision``).
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
+
 from see2act.robot.types import Heightmap
 
-Means = Literal["truth", "vision"]
+LabelSource = Literal["truth", "vision"]
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,9 @@ class Task(ABC):
     def __init__(self, pixel: float):
         self.pixel = pixel
 
-    def label(self, view: View, means: Means) -> Bool[np.ndarray, "H W"]:
+    def label(self, view: View, source: LabelSource) -> Bool[np.ndarray, "H W"]:
         """The label map by ``truth`` or by ``vision``."""
-        return self.truth(view) if means == "truth" else self.vision(view)
+        return self.truth(view) if source == "truth" else self.vision(view)
 
     @abstractmethod
     def truth(self, view: View) -> Bool[np.ndarray, "H W"]:

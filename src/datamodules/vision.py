@@ -5,29 +5,40 @@ from __future__ import annotations
 import lightning as L
 import numpy as np
 import torch
-from see2act.datamodules.collect import Collection
-from see2act.datamodules.labels import Means, Task
 from torch import Tensor
 from torch.utils.data import DataLoader, TensorDataset
 
+from see2act.datamodules.collect import Collection
+from see2act.datamodules.labels import LabelSource, Task
+from see2act.modules.vision import VisionBatch
+
 
 class VisionDataModule(L.LightningDataModule):
-    """Heightmaps as sensed, labels by truth or by vision.
+    """Heightmaps as sensed, with labels from the simulator's truth or from vision.
 
     Args:
         collection: Observations of random interaction.
         task: Makes the labels.
-        means: ``truth`` or ``vision``.
-        batch_size: Heightmaps a step.
+        label_source: ``truth`` or ``vision``.
+        batch_size: Heightmaps per step.
         validation: Share of the observations, the last ones, kept out of training.
         seed: Of the order of batches.
     """
 
-    def __init__(self, collection: Collection, task: Task, means: Means, batch_size: int, validation: float, seed: int):
+    def __init__(
+        self,
+        collection: Collection,
+        task: Task,
+        label_source: LabelSource,
+        *,
+        batch_size: int,
+        validation: float,
+        seed: int,
+    ):
         super().__init__()
         self._batch_size = batch_size
         self._order = torch.Generator().manual_seed(seed)
-        labels = np.stack([task.label(collection.view(i), means) for i in range(len(collection))])
+        labels = np.stack([task.label(collection.view(i), label_source) for i in range(len(collection))])
         held_out = max(1, round(validation * len(collection)))
         self.positive_share = float(labels.mean())
         """Share of positive pixels over all observations."""
@@ -57,6 +68,5 @@ def channel_statistics(collection: Collection) -> tuple[Tensor, Tensor]:
     return torch.tensor(mean, dtype=torch.float32), torch.tensor(std, dtype=torch.float32)
 
 
-def _as_batch(samples: list[tuple[Tensor, ...]]) -> dict[str, Tensor]:
-    color, height, label = (torch.stack(t) for t in zip(*samples, strict=True))
-    return {"color": color, "height": height, "label": label}
+def _as_batch(samples: list[tuple[Tensor, ...]]) -> VisionBatch:
+    return VisionBatch(*(torch.stack(tensors) for tensors in zip(*samples, strict=True)))

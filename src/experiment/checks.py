@@ -99,7 +99,7 @@ COUNTS = (
 NOT_NEGATIVE = (
     *("pretrain.lr", "pretrain.weight_decay"),
     *(f"finetune.{key}" for key in ("attempts", "backbone_lr", "head_lr", "weight_decay", "temperature")),
-    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "turn", "tint")),
+    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "rotation", "color_jitter")),
 )
 """Keys that must be at least 0."""
 PHYSICAL = ("primitive.end_effector", "collect.primitive.end_effector", "robot", "camera")

@@ -80,7 +80,7 @@ class PrimitiveConfig:
     benchmark_attempts: int = MISSING
     """Of a run of the benchmark."""
     evaluate_at: list[int] = field(default_factory=list)
-    turn: float = MISSING
+    rotation_tolerance: float = MISSING
     """Radians by which a scene may be turned about a pick that stays as good."""
 
 
@@ -116,9 +116,9 @@ class ReplayConfig:
     beta: float = MISSING
     floor: float = MISSING
     mirror: bool = MISSING
-    turn: float = MISSING
+    rotation: float = MISSING
     shift: float = MISSING
-    tint: float = MISSING
+    color_jitter: float = MISSING
 
 
 @dataclass

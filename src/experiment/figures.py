@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from see2act.attempt import Affordances, Attempt, attempt
 from see2act.datamodules.collect import Collection
-from see2act.datamodules.labels import Means, Task
+from see2act.datamodules.labels import LabelSource, Task
 from see2act.experiment import attempts_csv
 from see2act.experiment.evaluation import SPLITS, scene_seed
 from see2act.experiment.results import BLOCK, curve, wilson
@@ -194,8 +194,8 @@ def strip(attempts: Sequence[Attempt], affordances: Affordances, robot: Robot, t
     _save(figure, path)
 
 
-def labels(collection: Collection, task: Task, means: Means, name: str, count: int, path: Path) -> None:
-    """Observations beside their label maps, by both means where they differ."""
+def labels(collection: Collection, task: Task, source: LabelSource, name: str, count: int, path: Path) -> None:
+    """Observations beside their label maps, from the simulator's truth and from vision."""
     figure, grid = plt.subplots(count, 4, figsize=(11, count * _row(collection.arrays["height"].shape[1:])), squeeze=False)
     for axes, i in zip(grid, np.linspace(0, len(collection) - 1, count).astype(int), strict=True):
         view = collection.view(int(i))
@@ -203,13 +203,15 @@ def labels(collection: Collection, task: Task, means: Means, name: str, count: i
         axes[1].imshow(view.sensed.height, cmap="gray", vmin=0, vmax=TALLEST)
         _overlay(axes[2], view.sensed, task.label(view, "truth"))
         _overlay(axes[3], view.sensed, task.label(view, "vision"))
-    captions = {m: f"{name} by {m}" + (" (used)" if m == means else "") for m in ("truth", "vision")}
+    captions = {s: f"{name} from {s}" + (" (used)" if s == source else "") for s in ("truth", "vision")}
     for axis, caption in zip(grid[0], ("colour", "height", *captions.values()), strict=True):
         axis.set_title(caption, fontsize=9)
     _save(figure, path)
 
 
-def vision(held_out: Collection, task: Task, means: Means, network: PixelNetwork, count: int, title: str, path: Path) -> None:
+def vision(
+    held_out: Collection, task: Task, source: LabelSource, network: PixelNetwork, count: int, title: str, path: Path
+) -> None:
     """Held-out observations, their labels, and what the vision model makes of them."""
     figure, grid = plt.subplots(count, 4, figsize=(11, count * _row(held_out.arrays["height"].shape[1:])), squeeze=False)
     chosen = np.linspace(0, len(held_out) - 1, count).astype(int)
@@ -218,9 +220,9 @@ def vision(held_out: Collection, task: Task, means: Means, network: PixelNetwork
         view = held_out.view(int(i))
         axes[0].imshow(view.sensed.color)
         axes[1].imshow(view.sensed.height, cmap="gray", vmin=0, vmax=TALLEST)
-        _overlay(axes[2], view.sensed, task.label(view, means))
+        _overlay(axes[2], view.sensed, task.label(view, source))
         axes[3].imshow(score, cmap="inferno", vmin=0, vmax=1)
-    for axis, caption in zip(grid[0], ("colour", "height", f"label by {means}", "predicted"), strict=True):
+    for axis, caption in zip(grid[0], ("colour", "height", f"label from {source}", "predicted"), strict=True):
         axis.set_title(caption, fontsize=9)
     figure.suptitle(title, fontsize=10)
     _save(figure, path)

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from see2act.attempt import Attempt
 from see2act.datamodules.collect import Collection, collect
-from see2act.datamodules.interactive import InteractiveDataModule, TrialAndError
+from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt, TrialAndError
 from see2act.datamodules.replay import Replay
 from see2act.datamodules.vision import VisionDataModule, channel_statistics
 from see2act.errors import ConfigError, TransferError
@@ -35,9 +35,9 @@ from see2act.experiment.results import Progress, commit, curve, packages, versio
 from see2act.files import read_json, replacing, write_json
 from see2act.modules import weights
 from see2act.modules.affordance import AffordanceModule
+from see2act.modules.average_precision import average_precision
 from see2act.modules.batchnorm import batchnorms, epsilons, estimate
 from see2act.modules.network import PixelNetwork
-from see2act.modules.precision import average_precision
 from see2act.modules.transfer import TransferReport, copy_parts
 from see2act.modules.vision import VisionModule
 from see2act.policy import Policy
@@ -166,13 +166,13 @@ class Run:
         shape = (collection.arrays["height"].shape[1], collection.arrays["height"].shape[2])
         module = AffordanceModule(
             network,
-            shape,
-            cfg.primitive.angles,
-            cfg.finetune.backbone_lr,
-            cfg.finetune.head_lr,
-            cfg.finetune.weight_decay,
-            cfg.finetune.batchnorm,
-            cfg.finetune.averaging,
+            shape=shape,
+            angles=cfg.primitive.angles,
+            backbone_lr=cfg.finetune.backbone_lr,
+            head_lr=cfg.finetune.head_lr,
+            weight_decay=cfg.finetune.weight_decay,
+            batchnorm=cfg.finetune.batchnorm,
+            averaging=cfg.finetune.averaging,
         )
         module.to(self.device)
         fresh = [name for name in batchnorms(network) if name.split(".")[0] not in cfg.transfer.parts]
@@ -259,7 +259,12 @@ class Run:
     def _train_vision(self, collection: Collection, path: Path) -> None:
         cfg, seed = self.cfg, self.cfg.pretrain.seed
         data = VisionDataModule(
-            collection, build.task(cfg), cfg.labels, cfg.pretrain.batch_size, cfg.pretrain.validation, seed_for("batches", seed)
+            collection,
+            build.task(cfg),
+            cfg.labels,
+            batch_size=cfg.pretrain.batch_size,
+            validation=cfg.pretrain.validation,
+            seed=seed_for("batches", seed),
         )
         log.info("pretrain: %s labels %.1f %% of the pixels as positive", cfg.task.name, 100 * data.positive_share)
         if not 0 < data.positive_share < 1:
@@ -270,7 +275,13 @@ class Run:
         network = self._network(seed_for("vision", seed))
         network.normalization.set(*channel_statistics(collection))
         weight = (1 - data.positive_share) / data.positive_share if cfg.task.class_weight == "balanced" else 1.0
-        module = VisionModule(network, cfg.pretrain.lr, cfg.pretrain.weight_decay, weight, seed_for("augment", seed))
+        module = VisionModule(
+            network,
+            lr=cfg.pretrain.lr,
+            weight_decay=cfg.pretrain.weight_decay,
+            pos_weight=weight,
+            seed=seed_for("augment", seed),
+        )
         trainer = self._trainer(max_epochs=cfg.pretrain.epochs)
         self._fit_to_the_end(trainer, module, data)
         val_loss = float(trainer.callback_metrics["vision/val_loss"])
@@ -318,21 +329,20 @@ class Run:
                 instantiate(cfg.workspace),
                 build.policy(cfg),
                 replay,
-                cfg.seed,
-                cfg.finetune.batch_size,
-                cfg.finetune.updates,
-                cfg.finetune.temperature,
-                cfg.finetune.episode_attempts,
-                cfg.evaluate.scenes,
+                seed=cfg.seed,
+                batch_size=cfg.finetune.batch_size,
+                updates=cfg.finetune.updates,
+                temperature=cfg.finetune.temperature,
+                episode_attempts=cfg.finetune.episode_attempts,
+                scenes=cfg.evaluate.scenes,
             )
             loop = TrialAndError(
                 data,
                 self.attempts,
-                self._attempts.append,
+                lambda made, seconds: self._record(made, seconds, data.policy.name),
                 self.checkpoints / "last.ckpt",
                 steps,
                 lambda step: self._evaluate_at(module, step),
-                cfg.primitive.name,
             )
             trainer = self._trainer(
                 max_epochs=self.attempts // cfg.finetune.robots,
@@ -354,6 +364,11 @@ class Run:
             robots.close()
         module.to(self.device)  # Lightning has brought it back to the processor
         self.progress.set("finetuned", True)
+
+    def _record(self, made: TrainingAttempt, t_learn: float, policy: str) -> None:
+        where = {"phase": "finetune", "split": "seen", "policy": policy, "run": 0, "primitive": self.cfg.primitive.name}
+        where |= {"step": made.step, "episode": made.episode, "scene_seed": made.scene_seed}
+        self._attempts.append(made.attempt, t_learn, **where)
 
     def _evaluate_at(self, module: AffordanceModule, step: int) -> None:
         policy = build.policy(self.cfg)
@@ -479,7 +494,7 @@ class Run:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             network: PixelNetwork = instantiate(self.cfg.model.network)
-        network.speed_up(self.cfg.precision)
+        network.set_precision(self.cfg.precision)
         return network
 
     def _unlabelled(self, module: AffordanceModule, collection: Collection) -> Iterator[Tensor]:

@@ -67,12 +67,13 @@ def compared(work: Callable[[str], Callable[[], object]]) -> dict[str, Any]:
 def _attempt_s_work(precision: str) -> Callable[[], object]:
     """A decision over 16 rotations, whose canvases have 188 x 188 px in the mean, and four learning steps of FCN7."""
     import torch
+
     from see2act.modules.fcn7 import FCN7
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         network = FCN7().eval()
-    network.speed_up(precision)
+    network.set_precision(precision)
     turned, windows = torch.zeros(network.together, 4, 188, 188), torch.zeros(8, 4, 100, 100)
     middle = torch.full((8,), 50)
 

@@ -122,7 +122,7 @@ def _model(metadata: Mapping[str, str], state: dict[str, Tensor]) -> TrainedMode
     assert isinstance(config, DictConfig)
     network = _built(config.model.network)
     network.load_state_dict(state)
-    network.speed_up("fp32")  # exact, and the same on every processor
+    network.set_precision("fp32")  # exact, and the same on every processor
     return TrainedModel(network.eval(), config, metadata[HASH])
 
 

@@ -2,19 +2,53 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import lightning as L
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, UInt8
-from see2act.modules.batchnorm import freeze
-from see2act.modules.network import PixelNetwork
-from see2act.modules.rotation import Rotations
-from see2act.modules.tint import tinted
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from see2act.modules.batchnorm import freeze
+from see2act.modules.color_jitter import mixed
+from see2act.modules.network import PixelNetwork
+from see2act.modules.rotation import Rotations
+
+
+class Augmentation(NamedTuple):
+    """How each heightmap of a batch is varied about the executed pixel."""
+
+    mirror: Bool[Tensor, "B 2"]
+    """Whether rows and columns are reversed."""
+    rotation: Float[Tensor, " B"]
+    """Radians."""
+    shift: Float[Tensor, "B 2"]
+    """Pixels, along rows and columns."""
+    mixtures: Float[Tensor, "B 3 4"]
+    """Of colour channels: see :func:`see2act.modules.color_jitter.mixed`."""
+
+
+class AttemptBatch(NamedTuple):
+    """Attempts to learn from: what was seen, where the robot tried, and whether it succeeded."""
+
+    color: UInt8[Tensor, "B H W 3"]
+    height: Float[Tensor, "B H W"]
+    """Metres."""
+    angle: Int[Tensor, " B"]
+    """Index of the rotation."""
+    row: Int[Tensor, " B"]
+    col: Int[Tensor, " B"]
+    label: Float[Tensor, " B"]
+    """1 for a success, else 0."""
+    weight: Float[Tensor, " B"]
+    """Importance weights, at most 1."""
+    replay_index: Int[Tensor, " B"]
+    """Of the attempts in the replay."""
+    augmentation: Augmentation | None = None
+    """None leaves heightmaps as they are."""
 
 
 def affordances(
@@ -45,21 +79,21 @@ class AffordanceModule(L.LightningModule):
     """A network that learns from the single pixel where the robot tried.
 
     Args:
-        network: The shared architecture, after a transfer.
+        network: The shared architecture, after the transfer.
         shape: Rows and columns of the heightmaps.
         angles: Rotations to consider: 16 for grasping, 1 for suction.
         backbone_lr: Adam's learning rate of the backbone.
         head_lr: Adam's learning rate of the head.
         weight_decay: Adam's.
         batchnorm: ``frozen`` keeps running statistics, ``batch`` uses those of each replay batch.
-        averaging: Share of the past in the moving average of parameters, and of BatchNorm's statistics, that acts, a
-            learning step further; 0 acts with the last. Single pixels make noisy gradients, and the average is the better
-            model.
+        averaging: Decay per learning step of the moving average of parameters and BatchNorm statistics. The average acts and
+            is evaluated, since single pixels make noisy gradients. 0 acts with the last parameters.
     """
 
     def __init__(
         self,
         network: PixelNetwork,
+        *,
         shape: tuple[int, int],
         angles: int,
         backbone_lr: float,
@@ -69,14 +103,13 @@ class AffordanceModule(L.LightningModule):
         averaging: float,
     ):
         super().__init__()
+        self.save_hyperparameters(ignore=["network"], logger=False)  # the run logs its whole configuration
         self.network = network
         self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging), use_buffers=True)
         self.rotations = Rotations(shape, angles, network.stride, network.reach)
         self._rates = {"backbone": backbone_lr, "head": head_lr}
         self._weight_decay = weight_decay
         self._frozen = batchnorm == "frozen"
-        self.surprise: Tensor | None = None
-        """|prediction - label| of the last batch, for the replay's priorities."""
         self.train()
 
     @property
@@ -92,31 +125,29 @@ class AffordanceModule(L.LightningModule):
         self.train(training)
         return maps
 
-    def training_step(self, batch: dict[str, Tensor], _: int) -> Tensor:
+    def training_step(self, batch: AttemptBatch, _: int) -> dict[str, Tensor]:
+        """Binary cross-entropy at the executed pixels, weighted by importance; with it |prediction - label| of each."""
         logits = self.executed_logits(batch)
-        losses = F.binary_cross_entropy_with_logits(logits, batch["label"], reduction="none")
-        self.surprise = (torch.sigmoid(logits.detach()) - batch["label"]).abs()
-        loss = (losses * batch["weight"]).mean()
-        self.log("affordance/loss", loss)
-        return loss
+        losses = F.binary_cross_entropy_with_logits(logits, batch.label, reduction="none")
+        loss = (losses * batch.weight).mean()
+        self.log("affordance/loss", loss, batch_size=len(batch.label))
+        return {"loss": loss, "td_error": (torch.sigmoid(logits.detach()) - batch.label).abs()}
 
     def on_train_batch_end(self, *_: Any) -> None:
         self.average.update_parameters(self.network)
 
-    def executed_logits(self, batch: dict[str, Tensor]) -> Float[Tensor, " B"]:
+    def executed_logits(self, batch: AttemptBatch) -> Float[Tensor, " B"]:
         """Logits at the executed pixels only; all others have zero loss (paper, section III-C).
 
         With frozen statistics the network runs on the window that the pixel depends on, which gives the same
         numbers. Statistics of the batch depend on every pixel, so there the largest canvas is used.
-        A batch may say how to vary its heightmaps: by how much to turn and shift them about their pixels, which to
-        mirror, and how to recolour them.
         """
-        color = tinted(batch["color"], batch["tint"]) if "tint" in batch else batch["color"]
-        x = self.network.prepare(color, batch["height"])
-        pixel = batch["angle"], batch["row"], batch["col"]
-        x, row, col = self.rotations.window(x, *pixel, batch.get("turn"), batch.get("shift"), whole=not self._frozen)
-        if "mirror" in batch:
-            x, row, col = _mirrored(x, row, col, batch["mirror"])
+        varied = batch.augmentation
+        x = self.network.prepare(mixed(batch.color, varied.mixtures) if varied else batch.color, batch.height)
+        rotation, shift = (varied.rotation, varied.shift) if varied else (None, None)
+        x, row, col = self.rotations.window(x, batch.angle, batch.row, batch.col, rotation, shift, whole=not self._frozen)
+        if varied:
+            x, row, col = _mirrored(x, row, col, varied.mirror)
         if self._frozen:
             return self.network.logits_at(x, row, col)
         executed: Tensor = self.network(x)[torch.arange(len(row), device=row.device), 0, row, col]

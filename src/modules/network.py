@@ -82,7 +82,7 @@ class PixelNetwork(nn.Module):
         self._precision = "fp32"
         self._layout = torch.contiguous_format
 
-    def speed_up(self, precision: str) -> None:
+    def set_precision(self, precision: str) -> None:
         """Lay weights and inputs out as convolutions on a CPU like them best, and choose what they compute in.
 
         Args:

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import lightning as L
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, UInt8
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from torch import Tensor
+
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import sampling_grid, warp, warp_nearest
 from see2act.seeding import seed_for
-from torch import Tensor
 
-Batch = dict[str, Tensor]
+
+class VisionBatch(NamedTuple):
+    """Heightmaps and their labels."""
+
+    color: UInt8[Tensor, "B H W 3"]
+    height: Float[Tensor, "B H W"]
+    """Metres."""
+    label: Bool[Tensor, "B H W"]
 
 
 class VisionModule(L.LightningModule):
     """A network that learns a vision task from heightmaps and label maps.
 
-    Heightmaps are turned by a random angle, mirrored and shifted, since the affordance model will see turned ones. The
+    Heightmaps are rotated by a random angle, mirrored and shifted, since the affordance model will see rotated ones. The
     learning rate falls to zero over all steps (cosine).
 
     Args:
@@ -28,11 +37,12 @@ class VisionModule(L.LightningModule):
         lr: Adam's learning rate at its peak.
         weight_decay: Adam's.
         pos_weight: Weight of a positive pixel against a negative one.
-        seed: Of the augmentation. Each of several processes (ddp) goes on from a seed of its own.
+        seed: Of the augmentation. With several processes (ddp) each derives its own.
     """
 
-    def __init__(self, network: PixelNetwork, lr: float, weight_decay: float, pos_weight: float, seed: int):
+    def __init__(self, network: PixelNetwork, *, lr: float, weight_decay: float, pos_weight: float, seed: int):
         super().__init__()
+        self.save_hyperparameters(ignore=["network"], logger=False)  # the run logs its whole configuration
         self.network = network
         self._lr, self._weight_decay = lr, weight_decay
         self.register_buffer("pos_weight", torch.tensor(pos_weight), persistent=False)
@@ -47,16 +57,16 @@ class VisionModule(L.LightningModule):
         if self.global_rank:
             self._augment.manual_seed(seed_for("augment", self._seed, self.global_rank))
 
-    def training_step(self, batch: Batch, _: int) -> Tensor:
-        x = self.network.prepare(batch["color"], batch["height"])
-        x, label = self._turn(x, batch["label"])
+    def training_step(self, batch: VisionBatch, _: int) -> Tensor:
+        x = self.network.prepare(batch.color, batch.height)
+        x, label = self._augmented(x, batch.label)
         loss = self.loss(self.network(x), label)
         self.log("vision/loss", loss, prog_bar=True)
         return loss
 
-    def validation_step(self, batch: Batch, _: int) -> None:
-        loss = self.loss(self(batch["color"], batch["height"]), batch["label"][:, None].float())
-        self.log("vision/val_loss", loss, prog_bar=True, batch_size=len(batch["label"]))
+    def validation_step(self, batch: VisionBatch, _: int) -> None:
+        loss = self.loss(self(batch.color, batch.height), batch.label[:, None].float())
+        self.log("vision/val_loss", loss, prog_bar=True, batch_size=len(batch.label))
 
     def loss(self, logits: Float[Tensor, "B 1 h w"], label: Float[Tensor, "B 1 h w"]) -> Tensor:
         """Binary cross-entropy over all pixels (paper, section III-B)."""
@@ -69,8 +79,8 @@ class VisionModule(L.LightningModule):
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
-    def _turn(self, x: Float[Tensor, "B 4 H W"], label: Bool[Tensor, "B H W"]) -> tuple[Tensor, Tensor]:
-        """A random turn, mirror image and shift of inputs and labels; the size stays."""
+    def _augmented(self, x: Float[Tensor, "B 4 H W"], label: Bool[Tensor, "B H W"]) -> tuple[Tensor, Tensor]:
+        """Inputs and labels, randomly rotated, mirrored and shifted; the size stays."""
         n, shape = len(x), (x.shape[2], x.shape[3])
         angle = torch.rand(n, generator=self._augment) * 2 * math.pi
         shift = (torch.rand(n, 2, generator=self._augment) - 0.5) * torch.tensor(shape) * 0.4

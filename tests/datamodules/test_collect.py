@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from see2act.datamodules.collect import ARRAYS, SCENES_IN_A_ROW, Collection, _scenes, collect
 from see2act.datamodules.vision import channel_statistics
 from see2act.experiment import build

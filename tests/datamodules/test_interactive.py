@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from see2act.datamodules.interactive import InteractiveDataModule
 from see2act.datamodules.replay import Replay
 from see2act.policy import Policy
@@ -76,9 +77,20 @@ def make() -> Iterator[Callable[..., InteractiveDataModule]]:
 
     def made(robots: int = 1, seed: int = 0, temperature: float = 0.05, **more: Any) -> InteractiveDataModule:
         groups.append(RobotGroup(Cells, robots))
-        replay = Replay(0.6, 0.4, 0.01, False, 0.0, 0.0, 0.0, 0.0025, rng=generator("replay", seed))
+        replay = Replay(
+            alpha=0.6,
+            beta=0.4,
+            floor=0.01,
+            mirror=False,
+            rotation=0.0,
+            shift=0.0,
+            color_jitter=0.0,
+            pixel=0.0025,
+            rng=generator("replay", seed),
+        )
         policy = Policy("suppress", True, 0.0025, radius=0.002, changed_radius=0.0025)
-        return InteractiveDataModule(groups[-1], WORKSPACE, policy, replay, seed, 4, 2, temperature, 6, **more)
+        settings = {"seed": seed, "batch_size": 4, "updates": 2, "temperature": temperature, "episode_attempts": 6}
+        return InteractiveDataModule(groups[-1], WORKSPACE, policy, replay, **settings, **more)
 
     yield made
     for group in groups:
@@ -89,8 +101,11 @@ def _played(data: InteractiveDataModule, epochs: int) -> list[tuple]:
     """Episode, pick and success of each attempt."""
     made = []
     for _ in range(epochs):
-        data.act(_heights)
-        made += [(episode, result.pick, result.outcome.success) for result, episode in data.last]
+        data.start_episodes()
+        observations = data.observe()
+        decisions = data.decide(observations, _heights)
+        attempts = data.remember(observations, decisions, data.act(decisions), [0.0, 0.0, 0.0])
+        made += [(each.episode, each.attempt.pick, each.attempt.outcome.success) for each in attempts]
     return made
 
 
@@ -132,7 +147,7 @@ def test_robots_side_by_side_take_scenes_in_turn_and_are_remembered_in_order(
     assert [episode for episode, *_ in made[:3]] == [0, 1, 2]
     assert sorted({episode for episode, *_ in made}) == list(range(data._next_episode))
     assert data.replay._items["row"] == [pick.row for _, pick, _ in made]
-    assert data.updates == 6
+    assert len(data.train_dataloader()) == 6
     assert made == _played(make(robots=3), 8)
 
 

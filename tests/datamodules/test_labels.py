@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy import ndimage
+
 from see2act.datamodules.labels import View, plane_fit
 from see2act.experiment import build
 from see2act.robot.robot import SimulatedRobot

@@ -6,13 +6,16 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from see2act.modules import fcn7, rpn
-from see2act.modules.affordance import AffordanceModule, turned_logits
-from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import PixelNetwork
-from see2act.modules.tint import tints
+from lightning.pytorch.utilities import move_data_to_device
 from torch import Tensor
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
+
+from see2act.modules import fcn7, rpn
+from see2act.modules.affordance import AttemptBatch, Augmentation, turned_logits
+from see2act.modules.batchnorm import BatchNorm
+from see2act.modules.color_jitter import random_mixtures
+from see2act.modules.network import PixelNetwork
+from tests.modules.make import make_module
 
 SHAPE = (64, 64)
 CUDA = torch.device("cuda:0")
@@ -32,18 +35,20 @@ def tensors_without_values(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(BatchNorm, "forward", torch.nn.BatchNorm2d.forward)
 
 
-def _batch(count: int) -> dict[str, Tensor]:
-    return {
-        "color": torch.zeros(count, *SHAPE, 3, dtype=torch.uint8),
-        "height": torch.zeros(count, *SHAPE),
-        **{name: torch.zeros(count, dtype=torch.int64) for name in ("angle", "row", "col")},
-        "label": torch.zeros(count),
-        "weight": torch.ones(count),
-        "mirror": torch.zeros(count, 2, dtype=torch.bool),
-        "turn": torch.zeros(count),
-        "shift": torch.zeros(count, 2),
-        "tint": tints(count, 0.0, torch.Generator()),
-    }
+def _batch(count: int) -> AttemptBatch:
+    return AttemptBatch(
+        color=torch.zeros(count, *SHAPE, 3, dtype=torch.uint8),
+        height=torch.zeros(count, *SHAPE),
+        **{name: torch.zeros(count, dtype=torch.int64) for name in ("angle", "row", "col", "replay_index")},
+        label=torch.zeros(count),
+        weight=torch.ones(count),
+        augmentation=Augmentation(
+            mirror=torch.zeros(count, 2, dtype=torch.bool),
+            rotation=torch.zeros(count),
+            shift=torch.zeros(count, 2),
+            mixtures=random_mixtures(count, 0.0, torch.Generator()),
+        ),
+    )
 
 
 @pytest.mark.parametrize("batchnorm", ["frozen", "batch"])
@@ -52,7 +57,7 @@ def _batch(count: int) -> dict[str, Tensor]:
 def test_deciding_and_learning_stay_on_the_device_of_the_network(network: str, angles: int, batchnorm: str) -> None:
     make: Callable[[], PixelNetwork] = NETWORKS[network]
     batch = _batch(2)
-    module = AffordanceModule(make(), SHAPE, angles, 1e-4, 1e-4, 0.0, batchnorm, 0.9)
+    module = make_module(make(), shape=SHAPE, angles=angles, batchnorm=batchnorm)
     module.log = lambda *args, **kwargs: None
     # It refuses an operation on tensors of two devices. Gradients need a real one, and are where what they are of is.
     with FakeTensorMode(allow_non_fake_inputs=True) as mode, torch.no_grad():
@@ -61,11 +66,11 @@ def test_deciding_and_learning_stay_on_the_device_of_the_network(network: str, a
                 for name, value in table.items():
                     if value is not None:
                         table[name] = FakeTensor(mode, value.to("meta"), CUDA)
-        on_device = {name: value.to("cuda") for name, value in batch.items()}
-        maps = turned_logits(module.network, module.rotations, on_device["color"][:1], on_device["height"][:1])
+        on_device = move_data_to_device(batch, torch.device("cuda"))
+        maps = turned_logits(module.network, module.rotations, on_device.color[:1], on_device.height[:1])
         assert (maps.device.type, tuple(maps.shape)) == ("cuda", (angles, *SHAPE))
-        loss = module.training_step(on_device, 0)
-        assert loss.device.type == "cuda"
+        outputs = module.training_step(on_device, 0)
+        assert {value.device.type for value in outputs.values()} == {"cuda"}
 
 
 def test_tensors_of_two_devices_are_refused_here() -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+
 from see2act.modules.batchnorm import batchnorms, estimate, freeze
 from see2act.modules.fcn7 import FCN7
 from see2act.modules.rpn import RPN
@@ -110,7 +111,7 @@ def test_one_logit_is_that_of_the_whole_map(network: FCN7, side: int) -> None:
 
 def test_an_unknown_precision_is_refused(network: FCN7) -> None:
     with pytest.raises(ValueError, match="precision=bf-16"):
-        network.speed_up("bf-16")
+        network.set_precision("bf-16")
 
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
@@ -119,7 +120,7 @@ def test_the_fast_way_gives_the_same_logits(network: FCN7, precision: str) -> No
     x = torch.randn(2, 4, 64, 64)
     with torch.no_grad():
         plain = network.eval()(x)
-        network.speed_up(precision)
+        network.set_precision(precision)
         fast = network(x)
     assert fast.dtype == torch.float32
     tolerance = {"fp32": 1e-5, "bf16": 0.02}[precision]
@@ -137,7 +138,7 @@ def test_scaled_logits_are_less_sure_of_the_same(model: FCN7 | RPN) -> None:
 
 def test_large_logits_stay_apart_in_bfloat16(network: FCN7) -> None:
     """bfloat16 knows no number between 64 and 64.5: of equal logits the policy would take the one in the corner."""
-    network.speed_up("bf16")
+    network.set_precision("bf16")
     torch.nn.init.constant_(network.head[-2].bias, 64.0)
     with torch.no_grad():
         logits = network.eval()(torch.randn(1, 4, 64, 64))

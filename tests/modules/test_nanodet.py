@@ -18,11 +18,11 @@ from torch import Tensor
 from see2act.commands import coco
 from see2act.errors import TransferError, UserError
 from see2act.modules import tfjs
-from see2act.modules.affordance import AffordanceModule
 from see2act.modules.nanodet import NanoDet
 from see2act.modules.nanodet_weights import FILE, NanoDetWeights, from_tfjs, from_upstream
 from see2act.modules.transfer import copy_parts
 from tests.modules import graphs
+from tests.modules.make import make_module
 
 ZERO = ["backbone.depth"]
 
@@ -129,7 +129,7 @@ def test_learning_sees_what_deciding_sees() -> None:
     assert torch.allclose(network.logits_at(x, row, col), whole[torch.arange(3), 0, row, col], atol=1e-5)
     network.logits_at(x, row, col).sum().backward()
     assert network.backbone.depth.weight.grad.abs().max() > 0
-    assert AffordanceModule(network, (144, 144), 16, 1e-4, 1e-4, 0.0, "frozen", 0.9).rotations.canvases == 16 * [(208, 208)]
+    assert make_module(network, angles=16).rotations.canvases == 16 * [(208, 208)]
 
 
 def test_a_new_network_is_unsure_everywhere() -> None:

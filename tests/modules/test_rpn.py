@@ -23,11 +23,11 @@ from torchvision.ops import FrozenBatchNorm2d
 
 from see2act.errors import TransferError
 from see2act.experiment.config import composed
-from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.rpn import MOBILENET, RPN, enlarged
 from see2act.modules.transfer import AVERAGE, copy_parts
 from see2act.modules.weights import Torchvision, read, to_our_keys
+from tests.modules.make import make_module
 
 MEAN, STD = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 SHELF = {"coco": Torchvision("fasterrcnn_resnet50_fpn.COCO_V1", MEAN, STD, 0.0)}
@@ -248,7 +248,7 @@ def test_features_are_enlarged_linearly_between_their_centres() -> None:
 def test_smaller_backbones_have_the_same_interface(name: str) -> None:
     network = RPN(name).eval()
     assert network(torch.randn(2, 4, 144, 160)).shape == (2, 1, 144, 160)
-    module = AffordanceModule(network, (144, 144), 16, 1e-4, 1e-4, 0.0, "frozen", 0.9)
+    module = make_module(network, angles=16)
     assert module.rotations.canvases == 16 * [(224, 224)]
 
 

@@ -5,11 +5,12 @@ from types import SimpleNamespace
 import lightning as L
 import pytest
 import torch
+from torch.utils.data import DataLoader
+
 from see2act.experiment.config import composed
 from see2act.modules.fcn7 import FCN7
 from see2act.modules.rpn import RPN
-from see2act.modules.vision import VisionModule
-from torch.utils.data import DataLoader
+from see2act.modules.vision import VisionBatch, VisionModule
 
 
 def _module(seed: int = 0) -> VisionModule:
@@ -22,7 +23,7 @@ def test_labels_turn_with_their_images() -> None:
     height = torch.zeros(8, 1, 64, 64)
     height[:, :, 20:40, 25:30] = 1
     x = torch.cat([torch.zeros(8, 3, 64, 64), height], dim=1)
-    turned, label = _module()._turn(x, height[:, 0] > 0.5)
+    turned, label = _module()._augmented(x, height[:, 0] > 0.5)
     assert torch.equal(turned[:, 3:], label)
     assert 0 < label.mean() < 0.2
     assert not torch.equal(label[0], label[1])
@@ -30,13 +31,13 @@ def test_labels_turn_with_their_images() -> None:
 
 def test_images_turn_on_the_device_that_they_are_on() -> None:
     x, label = (t.to("meta") for t in (torch.zeros(2, 4, 32, 32), torch.zeros(2, 32, 32)))  # stands in for a GPU
-    turned, turned_label = _module()._turn(x, label)
+    turned, turned_label = _module()._augmented(x, label)
     assert turned.device == turned_label.device == x.device
 
 
 def test_augmentation_follows_its_seed() -> None:
     x, y = torch.randn(4, 4, 32, 32), torch.rand(4, 32, 32) > 0.5
-    first, second, other = (_module(seed)._turn(x, y)[0] for seed in (1, 1, 2))
+    first, second, other = (_module(seed)._augmented(x, y)[0] for seed in (1, 1, 2))
     assert torch.equal(first, second)
     assert not torch.equal(first, other)
 
@@ -58,10 +59,10 @@ def test_learns_to_see_what_is_high() -> None:
     assert loss.item() < 0.1
 
 
-def _data(count: int) -> list[dict[str, torch.Tensor]]:
+def _data(count: int) -> list[VisionBatch]:
     generator = torch.Generator().manual_seed(0)
     height = torch.rand(count, 32, 32, generator=generator) * 0.1
-    return [{"color": torch.zeros(32, 32, 3, dtype=torch.uint8), "height": h, "label": h > 0.05} for h in height]
+    return [VisionBatch(torch.zeros(32, 32, 3, dtype=torch.uint8), h, h > 0.05) for h in height]
 
 
 def test_each_of_several_processes_augments_by_itself() -> None:
@@ -71,8 +72,8 @@ def test_each_of_several_processes_augments_by_itself() -> None:
         module = _module()
         module._trainer = SimpleNamespace(global_rank=rank)  # type: ignore[assignment]
         module.on_fit_start()
-        turned.append(module._turn(x, y)[0])
-    assert torch.equal(turned[0], _module()._turn(x, y)[0])  # as one process alone
+        turned.append(module._augmented(x, y)[0])
+    assert torch.equal(turned[0], _module()._augmented(x, y)[0])  # as one process alone
     assert not torch.equal(turned[0], turned[1])
     assert not torch.equal(turned[1], turned[2])
 
@@ -104,5 +105,5 @@ def test_one_and_several_processes_bring_the_weights_home(strategy: str, devices
     module.eval()
     batch = next(iter(DataLoader(_data(4), 4)))
     with torch.no_grad():
-        loss = module.loss(module(batch["color"], batch["height"]), batch["label"][:, None].float())
+        loss = module.loss(module(batch.color, batch.height), batch.label[:, None].float())
     assert loss.item() == pytest.approx(float(trainer.callback_metrics["vision/val_loss"]), rel=0.05)

@@ -12,21 +12,22 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import see2act
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from safetensors.torch import load_file, save_file
+from torch import nn
+
+import see2act
 from see2act.commands.predict import _read, main
 from see2act.experiment import trained
 from see2act.experiment.trained import ModelFileError, TrainedModel
-from see2act.modules.affordance import AffordanceModule
 from see2act.modules.network import PixelNetwork
 from see2act.prediction.picture import _direction_in_image
 from see2act.prediction.view import HALF, ImageError, _workspace, floor_pose
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Observation
-from torch import nn
+from tests.modules.make import make_module
 
 BOUNDS = (-0.18, -0.18, 0.18, 0.18)
 
@@ -211,10 +212,10 @@ def model_file(config: Callable[..., DictConfig], tmp_path_factory: pytest.TempP
 
 def test_a_file_gives_back_what_learned(model_file: Callable[[str], Path], seen: Observation, config: Callable) -> None:
     model = trained.load(model_file("grasp"), "grasp")
-    model.network.speed_up("fp32")
+    model.network.set_precision("fp32")
     cfg = config("primitive=grasp", "model.width=4")
     torch.manual_seed(0)
-    module = AffordanceModule(instantiate(cfg.model.network), seen.heightmap.height.shape, 16, 0.1, 0.1, 0.0, "frozen", 0.9)
+    module = make_module(instantiate(cfg.model.network), shape=seen.heightmap.height.shape, angles=16)
     ours, theirs = (m.affordances(seen.heightmap.color, seen.heightmap.height) for m in (model, module))
     np.testing.assert_allclose(ours, theirs, atol=1e-4)
     assert (model.primitive, model.pixel) == ("grasp", 0.0025)

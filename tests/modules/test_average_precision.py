@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from see2act.modules.precision import average_precision
+
+from see2act.modules.average_precision import average_precision
 
 
 def test_average_precision_is_the_mean_precision_at_each_label() -> None:
