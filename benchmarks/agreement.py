@@ -5,6 +5,7 @@ Vision models, transferred whole and not fine-tuned, come from the cache or are 
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,8 +17,11 @@ from benchmarks.loop import SOURCES
 from see2act.analysis.intervals import difference_interval
 from see2act.experiment import build
 from see2act.experiment.config import composed
-from see2act.experiment.evaluation import SPLITS, Protocol, evaluate
-from see2act.experiment.pipeline import Run
+from see2act.experiment.evaluation import EvaluationProtocol, evaluate
+from see2act.experiment.results import SPLITS
+from see2act.experiment.stages.collect import collected
+from see2act.experiment.stages.pretrain import vision_model
+from see2act.experiment.stages.transfer import affordance_model
 
 SETTINGS = {
     "as the benchmark runs": [],
@@ -33,16 +37,17 @@ def measure(overrides: list[str], primitive: str, setting: str, runs: int) -> di
     torch.set_num_threads(1)
     base = [*overrides, f"primitive={primitive}", f"task={SOURCES[primitive]}", "transfer=full", "logger=none"]
     with TemporaryDirectory() as scratch:
-        run = Run(composed(base), Path(scratch))
-        collection = run.collect()
-        module, _ = run.transfer(collection, run.pretrain(collection))
+        cfg = composed(base)
+        collection = collected(cfg)
+        vision = vision_model(cfg, collection, partial(build.trainer, cfg, Path(scratch), None))
+        module, _ = affordance_model(cfg, collection, vision)
     cfg = composed([*base, *SETTINGS[setting]])
     module.network.set_precision(cfg.precision)
     robot = build.robot_factory(cfg, cfg.primitive)()
-    protocol = Protocol(runs, dict(cfg.evaluate.attempts), scenes="develop")
-    result = evaluate(robot, module.affordances, build.policy(cfg), protocol, lambda attempt, **where: None)
+    protocol = EvaluationProtocol(runs, dict(cfg.evaluate.attempts), scenes="develop")
+    result = evaluate(robot, module.affordances, build.policy(cfg), protocol, lambda attempt, test: None)
     robot.close()
-    counts = {key: sum(result[split][key] for split in SPLITS) for key in ("successes", "attempts")}
+    counts = {key: sum(getattr(result[split], key) for split in SPLITS) for key in ("successes", "attempts")}
     return {"primitive": primitive, "setting": setting, **counts, "rate": counts["successes"] / counts["attempts"]}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.common import arguments, at_least_one, finish, parsed, spread
 from see2act.experiment import build
 from see2act.experiment.config import composed
-from see2act.experiment.evaluation import SPLITS
+from see2act.experiment.results import SPLITS
 from see2act.robot.oracle import ExactHeights
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP

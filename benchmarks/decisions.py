@@ -15,10 +15,10 @@ from scipy.special import expit
 
 from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 from see2act.commands.demo import MODELS
-from see2act.experiment import build, trained
+from see2act.experiment import build, model_file
 from see2act.experiment.config import composed
-from see2act.experiment.evaluation import SPLITS, scene_seed
-from see2act.experiment.results import wilson
+from see2act.experiment.evaluation import scene_seed
+from see2act.experiment.results import SPLITS, wilson
 from see2act.modules.affordance import affordances
 from see2act.modules.rotation import Rotations
 
@@ -32,7 +32,7 @@ def compare(overrides: list[str], primitive: str, first: int, looks: int) -> dic
     """Decisions on ``looks`` observations, ten of a scene, from the ``first`` scene on."""
     torch.set_num_threads(1)
     cfg = composed([*overrides, f"primitive={primitive}"])
-    plain = trained.load(MODELS / f"{primitive}.safetensors", primitive).network.to(memory_format=torch.contiguous_format)
+    plain = model_file.load(MODELS / f"{primitive}.safetensors", primitive).network.to(memory_format=torch.contiguous_format)
     plain._layout = torch.contiguous_format
     fast = copy.deepcopy(plain)
     fast.set_precision(cfg.precision)

@@ -19,9 +19,8 @@ from omegaconf import DictConfig
 
 from benchmarks.common import PRIMITIVES, Work, timed
 from benchmarks.stages import _backward, _batch, _heightmap, _module
-from see2act.commands.train import run
 from see2act.experiment.config import composed
-from see2act.files import read_json
+from see2act.experiment.run import run
 from see2act.modules.affordance import AffordanceModule, AttemptBatch
 
 MODELS = ("fcn7", "rpn_r50_fpn")
@@ -84,8 +83,7 @@ def _median(work: Work, repeats: int) -> float:
 def _short_run(overrides: list[str]) -> dict[str, Any]:
     cfg = composed(overrides)
     with TemporaryDirectory() as scratch:
-        run(cfg, Path(scratch))
-        finetune = read_json(Path(scratch) / "result.json")["seconds"]["finetune"]
+        finetune = run(cfg, Path(scratch)).seconds["finetune"]
     row = {"name": f"fine-tuning, 6 grasps, {cfg.model.name}, trainer={cfg.trainer.accelerator}", "seconds": finetune}
     return row | dict.fromkeys(("processor_fp32", "ratio", "logits_differ_in_fp32"))
 

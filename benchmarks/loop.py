@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import copy
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
+import lightning as L
 import torch
 from omegaconf import DictConfig
 
@@ -22,11 +24,14 @@ from benchmarks.common import faster, limit, measured, overhead, timed
 from see2act.datamodules.collect import Collection
 from see2act.datamodules.replay import Replay
 from see2act.datamodules.vision import VisionDataModule
-from see2act.experiment import attempts_csv, build
-from see2act.experiment.attempts_csv import AttemptsCsv
+from see2act.experiment import attempts, build
 from see2act.experiment.config import composed
-from see2act.experiment.pipeline import Run
+from see2act.experiment.context import RunContext
 from see2act.experiment.quiet import quiet
+from see2act.experiment.stages.collect import collected
+from see2act.experiment.stages.finetune import learn
+from see2act.experiment.stages.pretrain import vision_model
+from see2act.experiment.stages.transfer import affordance_model
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.vision import VisionModule
 from see2act.seeding import generator, seed_for
@@ -85,20 +90,24 @@ def rows(overrides: list[str], repeats: int) -> Iterator[dict[str, Any]]:
     yield limit(f"{2 * RUNS} runs of the benchmark on two cores", hours / 2 * 3600, HOURS * 3600)
 
 
-def _prepared(overrides: list[str], folder: Path) -> tuple[Run, Collection, AffordanceModule]:
+def _prepared(overrides: list[str], folder: Path) -> tuple[RunContext, Collection, AffordanceModule]:
     """A run up to its first attempt."""
-    run = Run(composed([*overrides, "threads=1", "logger=none"]), folder)
-    collection = run.collect()
-    module, _ = run.transfer(collection, run.pretrain(collection))
+    run = RunContext(composed([*overrides, "threads=1", "logger=none"]), folder)
+    collection = collected(run.cfg)
+    module, _ = affordance_model(run.cfg, collection, vision_model(run.cfg, collection, _trainers(run)))
     return run, collection, module
 
 
-def _fit(run: Run, module: AffordanceModule) -> None:
-    run._attempts = AttemptsCsv(run.folder / "attempts.csv", lambda row: False)
-    run._fit(module, None, [])
+def _trainers(run: RunContext) -> Callable[..., L.Trainer]:
+    return partial(build.trainer, run.cfg, run.folder, None)
 
 
-def looping(run: Run, module: AffordanceModule, primitive: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
+def _fit(run: RunContext, module: AffordanceModule) -> None:
+    run.log.begin()
+    learn(run, module, _trainers(run), None, [])
+
+
+def looping(run: RunContext, module: AffordanceModule, primitive: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """The first attempts of a run, through Lightning with log and checkpoints, against its stages one after the other.
 
     Returns:
@@ -143,7 +152,7 @@ def _stages(cfg: DictConfig, module: AffordanceModule, log: Path) -> Iterator[tu
         seconds[name] += process_time() - start
 
     episode, tried = -1, cfg.finetune.episode_attempts
-    for row in attempts_csv.read(log):
+    for row in attempts.read(log):
         if tried == cfg.finetune.episode_attempts or robot.bin_empty():
             episode, tried = episode + 1, 0
             policy.forget()
@@ -157,7 +166,7 @@ def _stages(cfg: DictConfig, module: AffordanceModule, log: Path) -> Iterator[tu
         pick = robot.workspace.pick(heightmap, choice.row, choice.col, choice.angle * torch.pi / len(logits))
         with timing("acting"):
             outcome = robot.execute(pick)
-        if (choice.row, choice.col, outcome.success) != (int(row["row"]), int(row["col"]), bool(int(row["success"]))):
+        if (choice.row, choice.col, outcome.success) != (row.row, row.col, row.success):
             raise RuntimeError("the loop attempts something else than its stages one after the other")
         policy.remember(choice, heightmap, outcome.success)
         tried += 1
@@ -175,7 +184,7 @@ def _stages(cfg: DictConfig, module: AffordanceModule, log: Path) -> Iterator[tu
     yield from seconds.items()
 
 
-def pretraining(run: Run, collection: Collection, repeats: int) -> tuple[list[dict[str, Any]], float]:
+def pretraining(run: RunContext, collection: Collection, repeats: int) -> tuple[list[dict[str, Any]], float]:
     """An image of an epoch, loading and augmentation and all, against the network's forward and backward alone.
 
     Returns:
@@ -186,12 +195,14 @@ def pretraining(run: Run, collection: Collection, repeats: int) -> tuple[list[di
         collection, build.task(cfg), cfg.labels, batch_size=cfg.pretrain.batch_size, validation=cfg.pretrain.validation, seed=0
     )
     steps = len(data.train_dataloader())
-    module = VisionModule(run._network(0), lr=cfg.pretrain.lr, weight_decay=cfg.pretrain.weight_decay, pos_weight=1.0, seed=0)
+    module = VisionModule(
+        build.network(cfg, 0), lr=cfg.pretrain.lr, weight_decay=cfg.pretrain.weight_decay, pos_weight=1.0, seed=0
+    )
     batch = next(iter(data.train_dataloader()))
     x, label = module.network.prepare(batch.color, batch.height), batch.label[:, None].float()
     ours, bare = [], []
     for _ in range(max(1, repeats // 3)):
-        trainer = run._trainer(max_epochs=1, limit_val_batches=0, enable_progress_bar=False)
+        trainer = _trainers(run)(max_epochs=1, limit_val_batches=0, enable_progress_bar=False)
         start = process_time()
         trainer.fit(module, datamodule=data)
         ours.append((process_time() - start) / steps)

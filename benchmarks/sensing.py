@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parsed, spread
 from see2act.experiment import build
 from see2act.experiment.config import composed
-from see2act.experiment.evaluation import SPLITS
+from see2act.experiment.results import SPLITS
 from see2act.robot.oracle import ExactHeights, oracle
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Pick

@@ -22,7 +22,7 @@ from see2act.datamodules.replay import Replay
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.experiment.evaluation import scene_seed
-from see2act.experiment.processor import computes_bf16
+from see2act.experiment.precision import computes_bf16
 from see2act.modules.affordance import AffordanceModule, AttemptBatch
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.network import PRECISIONS, PixelNetwork

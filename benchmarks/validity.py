@@ -20,10 +20,10 @@ from benchmarks.common import PRIMITIVES, arguments, at_least_one, parsed, show,
 from benchmarks.heuristics import heuristic
 from see2act.attempt import Affordances
 from see2act.commands.demo import MODELS
-from see2act.experiment import build, trained
+from see2act.experiment import build, model_file
 from see2act.experiment.config import composed
-from see2act.experiment.evaluation import SPLITS, one_test_run, scene_seed
-from see2act.experiment.results import wilson
+from see2act.experiment.evaluation import one_test_run, scene_seed
+from see2act.experiment.results import SPLITS, wilson
 from see2act.files import write_json
 from see2act.policy import Policy
 from see2act.robot.oracle import ExactHeights, oracle
@@ -45,7 +45,7 @@ def measure(overrides: list[str], primitive: str, split: Split, policy: str, sce
     rule = build.policy(cfg)
     if policy == TRAINED:
         torch.set_num_threads(1)
-        scores: Affordances = trained.load(MODELS / f"{primitive}.safetensors", primitive).affordances
+        scores: Affordances = model_file.load(MODELS / f"{primitive}.safetensors", primitive).affordances
     else:
         scores, rule = _scripted(policy, robot, cfg.primitive.angles, rule)
     objects: dict[str, list[int]] = defaultdict(lambda: [0, 0])

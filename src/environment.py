@@ -13,8 +13,9 @@ from typing import Any, get_args
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+
 from see2act.experiment import build
-from see2act.experiment.checks import validate
+from see2act.experiment.checks import check_parts, validate
 from see2act.experiment.config import composed
 from see2act.robot.types import Observation, Split
 
@@ -46,7 +47,7 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             raise ValueError(f"render_mode={render_mode} is unknown: give rgb_array, or nothing")
         cfg = composed(overrides)
         validate(cfg)
-        build.check_parts(cfg)
+        check_parts(cfg)
         self.render_mode = render_mode
         self._split = _checked(split)
         self._angles = int(cfg.primitive.angles)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import torch
 from omegaconf import DictConfig
+
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.robot.robot import SimulatedRobot

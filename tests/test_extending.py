@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from see2act.experiment.cache import foreign_code
+
 from see2act.experiment.config import composed
+from see2act.experiment.identity import hash_of
 
 HERE = Path(__file__).parents[1]
 EXAMPLES = HERE / "docs" / "extending"
@@ -74,10 +75,15 @@ def test_the_hash_knows_code_from_elsewhere(tmp_path: Path, monkeypatch: pytest.
         "builtin": {"_target_": "builtins.dict"},
         "method": {"_target_": "elsewhere.Thing.make"},
     }
-    before = foreign_code(node)
-    assert set(before) == {"elsewhere"}
+    before = hash_of(node)
     (tmp_path / "elsewhere.py").write_text("class Thing:\n    number = 1  # as before\n")
-    assert foreign_code(node) == before
+    assert hash_of(node) == before
     (tmp_path / "elsewhere.py").write_text("class Thing:\n    number = 2\n")
-    assert foreign_code(node) != before
-    assert foreign_code(json.loads(json.dumps({"policy": dict(composed().policy)}))) == {}
+    assert hash_of(node) != before
+
+
+def test_the_hash_does_not_know_where_a_class_of_ours_lies() -> None:
+    here, moved, other = (
+        {"policy": {"_target_": name}} for name in ("see2act.a.Policy", "see2act.b.c.Policy", "see2act.a.Rule")
+    )
+    assert hash_of(here) == hash_of(moved) != hash_of(other)

@@ -5,7 +5,8 @@ import time
 from pathlib import Path
 
 import pytest
-from see2act.experiment import cache
+
+from see2act.experiment import identity
 from see2act.experiment.cache import once
 from see2act.files import replacing, sweep_up, write_json
 
@@ -71,8 +72,8 @@ def test_a_failed_make_is_made_again(tmp_path: Path) -> None:
     assert once(tmp_path / "thing", lambda: write_json(tmp_path / "thing", 1))
 
 
-def test_the_version_of_code_is_what_it_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "SOURCES", tmp_path)
+def test_the_version_of_code_is_what_it_does_wherever_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identity, "SOURCES", tmp_path)
     hashes = []
     for source in (
         '"""Adds."""\ndef f(x):\n    return x + 1\n',
@@ -80,7 +81,7 @@ def test_the_version_of_code_is_what_it_does(tmp_path: Path, monkeypatch: pytest
         "def f(x):\n    return x + 2\n",
     ):
         (tmp_path / "a.py").write_text(source)
-        hashes.append(cache.code_hash("a.py"))
+        hashes.append(identity.code_hash("a.py"))
     assert hashes[0] == hashes[1] != hashes[2]
     (tmp_path / "a.py").rename(tmp_path / "b.py")
-    assert cache.code_hash("b.py") != hashes[2]
+    assert identity.code_hash("b.py") == hashes[2]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
 from see2act.analysis import summary
 from see2act.analysis.benches import find
 

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
+
 from see2act.datamodules.collect import _scenes
-from see2act.experiment.evaluation import SPLITS, scene_seed
+from see2act.experiment.evaluation import scene_seed
+from see2act.experiment.results import SPLITS
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick
 from see2act.robot.workspace import Workspace

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from see2act.analysis.paper import TASKS, TRANSFERS
-from see2act.analysis.runs import CONFIGURATION, NO_MATTER, PHASES, SPLITS, UNKNOWN, Run, Unfinished, begins, read
+from see2act.analysis.runs import CONFIGURATION, NO_MATTER, UNKNOWN, Run, Unfinished, begins, read
+from see2act.experiment.results import PHASES, SPLITS
 
 SHOWN = (
     *("model", "objects", "workspace", "workspace.pixel", "camera", "policy", "precision", "robot.motion"),
@@ -52,7 +53,7 @@ class Arm:
     @property
     def hash(self) -> str:
         """Of the configuration."""
-        return str(self.runs[0].result["config_hash"])
+        return str(self.runs[0].result.config_hash)
 
     @property
     def seeds(self) -> list[int]:
@@ -62,7 +63,7 @@ class Arm:
     @property
     def learned(self) -> bool:
         """Whether it was fine-tuned at all."""
-        return not self.runs[0].result["eval"].get("repeated")
+        return not self.runs[0].result.eval.repeated
 
     @property
     def cell(self) -> str:
@@ -132,14 +133,14 @@ def _once_each(runs: list[Run], notices: list[str]) -> list[list[Run]]:
     """Runs of each arm by seed, each seed once."""
     arms: dict[Any, dict[int, list[Run]]] = {}
     for run in runs:
-        key = (run.result["config_hash"], *(tuple(sorted(part.items())) for part in (run.choices, run.setting)))
+        key = (run.result.config_hash, *(tuple(sorted(part.items())) for part in (run.choices, run.setting)))
         arms.setdefault(key, {}).setdefault(run.seed, []).append(run)
     kept = []
     for seeds in arms.values():
         for seed, same in seeds.items():
             same.sort(key=lambda run: (run.folder.name != f"seed{seed}", run.place))
             for other in same[1:]:
-                equal = all(other.result[phase] == same[0].result[phase] for phase in PHASES)
+                equal = all(other.result.phase(phase) == same[0].result.phase(phase) for phase in PHASES)
                 notices.append(
                     f"The same run is there twice, with {'the same' if equal else 'OTHER'} numbers: "
                     f"{same[0].place} counts, {other.place} does not."

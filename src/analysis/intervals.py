@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,8 @@ from scipy import stats
 from see2act.experiment.results import wilson
 from see2act.seeding import generator
 
+NOTHING = 1e-12
+"""A spread of rates that is no more than rounding."""
 RESAMPLES = 2000
 """Draws of a bootstrap: its 95 % limits are then good to about a hundredth of the distribution."""
 
@@ -34,7 +37,7 @@ def t_interval(values: Sequence[float]) -> tuple[float, float] | None:
     """95 % t interval of the mean of independent values; None for fewer than two."""
     if len(values) < 2:
         return None
-    if np.ptp(values) == 0:  # scipy divides by the spread
+    if np.ptp(values) < NOTHING:  # scipy divides by the spread
         return float(values[0]), float(values[0])
     interval = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
     return float(interval.low), float(interval.high)
@@ -47,10 +50,11 @@ def mean_difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[fl
     """
     if min(len(a), len(b)) < 2:
         return None
-    if np.ptp(a) == np.ptp(b) == 0:  # scipy divides by the spread
+    if max(np.ptp(a), np.ptp(b)) < NOTHING:  # scipy divides by the spread
         difference = float(np.mean(a) - np.mean(b))
         return difference, difference
-    interval = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # one of them may have no spread
+        interval = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
     return float(interval.low), float(interval.high)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
@@ -12,7 +11,8 @@ from see2act.analysis import page
 from see2act.analysis.benches import Found
 from see2act.analysis.runs import attempts_of
 from see2act.errors import UserError
-from see2act.files import read_json, replacing
+from see2act.experiment.results import read_result
+from see2act.files import replacing
 
 SMALL = ("result.json", ".hydra/config.yaml", ".hydra/overrides.yaml")
 
@@ -29,7 +29,7 @@ def keep(found: Found, folder: Path) -> None:
     """
     for run in found.runs:
         kept = folder / run.place / "result.json"
-        if kept.exists() and _outcome(read_json(kept)) != _outcome(run.result):
+        if kept.exists() and read_result(kept).outcomes != run.result.outcomes:
             raise UserError(f"{kept.parent} holds another run than {run.folder}: move it away, or give another folder")
     pictured = {page.shown(arm).folder for bench in found.benches for arm in bench.arms}
     for run in tqdm(found.runs, desc="keep", disable=None):
@@ -42,11 +42,6 @@ def keep(found: Found, folder: Path) -> None:
         for name in reversed(SMALL):  # the result last: it means done
             if (run.folder / name).is_file():
                 _write(place / name, (run.folder / name).read_bytes())
-
-
-def _outcome(result: dict[str, Any]) -> dict[str, Any]:
-    """All but how long it took, and by which of several commits with the same code."""
-    return {key: value for key, value in result.items() if key not in ("seconds", "evaluation_share", "commit")}
 
 
 def _packed(path: Path) -> bytes:

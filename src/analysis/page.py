@@ -12,12 +12,14 @@ from urllib.parse import quote
 import cv2
 import numpy as np
 from jinja2 import Environment, StrictUndefined
+
 from see2act.analysis import paper
 from see2act.analysis.benches import Arm, Bench, Found
 from see2act.analysis.commands import command
 from see2act.analysis.plots import Picture
-from see2act.analysis.runs import SPLITS, Run
+from see2act.analysis.runs import Run
 from see2act.analysis.summary import Row, aggregates, comparisons
+from see2act.experiment.results import SPLITS
 from see2act.files import replacing
 
 GALLERY = {
@@ -130,7 +132,7 @@ def _small(image: np.ndarray) -> bytes:
 def _outcome(run: Run) -> str:
     """In words."""
     told = []
-    phases = {"zero_shot": "zero-shot"} if run.result["eval"].get("repeated") else OUTCOMES
+    phases = {"zero_shot": "zero-shot"} if run.result.eval.repeated else OUTCOMES
     for phase, words in phases.items():
         counts = (f"{'/'.join(map(str, run.counts(phase, split)))} {split}" for split in SPLITS)
         told.append(f"{words} {', '.join(counts)}")
@@ -139,15 +141,15 @@ def _outcome(run: Run) -> str:
 
 def seconds(run: Run) -> float:
     """Of wall time, all stages together."""
-    return float(sum(run.result["seconds"].values()))
+    return float(sum(run.result.seconds.values()))
 
 
 def _versions(found: Found) -> list[dict[str, Any]]:
     """Every set of versions, with the runs it made."""
     sets: dict[tuple[tuple[str, str], ...], int] = {}
     for run in found.runs:
-        commit = run.result.get("commit") or "unknown"
-        key = (*((name, str(version)) for name, version in run.result["versions"].items()), ("commit", commit))
+        commit = run.result.commit or "unknown"
+        key = (*((name, str(version)) for name, version in run.result.versions.items()), ("commit", commit))
         sets[key] = sets.get(key, 0) + 1
     return [{"versions": dict(key), "runs": count} for key, count in sets.items()]
 

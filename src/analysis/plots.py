@@ -20,9 +20,8 @@ from matplotlib.figure import Figure
 
 from see2act.analysis.benches import ENOUGH, Arm, Bench
 from see2act.analysis.intervals import mean_interval
-from see2act.analysis.runs import SPLITS, rate
 from see2act.analysis.summary import published_for, rates
-from see2act.experiment.results import BLOCK
+from see2act.experiment.results import BLOCK, SPLITS
 from see2act.files import replacing
 
 COLORS = {
@@ -122,15 +121,15 @@ def protocol(bench: Bench) -> Drawn:
     """Success by the protocol, on the way."""
     arms = _overview(bench)
     figure, grid = plt.subplots(1, 2, figsize=(10, 3.9), sharey=True, layout="constrained")
-    most = max(point["step"] for arm in arms for run in arm.runs for point in run.result["evals"])
+    most = max(point.step for arm in arms for run in arm.runs for point in run.result.evals)
     if most == 0:
         plt.close(figure)
         return None
-    ticks = sorted({point["step"] for arm in arms for run in arm.runs for point in run.result["evals"]})
+    ticks = sorted({point.step for arm in arms for run in arm.runs for point in run.result.evals})
     for axes, split in zip(grid, reversed(SPLITS), strict=True):
         for i, arm in enumerate(arms):
             _, style = _look(bench, arm)
-            evals = [{point["step"]: rate(point[split]) for point in run.result["evals"]} for run in arm.runs]
+            evals = [{point.step: point[split].success_rate for point in run.result.evals} for run in arm.runs]
             steps = sorted(set.intersection(*map(set, evals)))
             each = [[rates_at[step] for rates_at in evals] for step in steps]
             if steps == [0]:
@@ -271,12 +270,12 @@ class _Blocks:
 
 
 def _blocks(arm: Arm) -> _Blocks:
-    length = min(len(run.result["curve"]) for run in arm.runs)
-    each = [[rate(block) for block in run.result["curve"][:length]] for run in arm.runs]
-    steps = np.array([block["step"] for block in arm.runs[0].result["curve"][:length]])
+    length = min(len(run.result.curve) for run in arm.runs)
+    each = [[block.success_rate for block in run.result.curve[:length]] for run in arm.runs]
+    steps = np.array([block.step for block in arm.runs[0].result.curve[:length]])
     timed = [bool(run.attempts) for run in arm.runs]
     clocks = [
-        np.cumsum([float(row["robot_seconds"]) for row in run.attempts if row["phase"] == "finetune"])[steps - 1] / 60
+        np.cumsum([row.robot_seconds for row in run.attempts if row.phase == "finetune"])[steps - 1] / 60
         for run in arm.runs
         if run.attempts
     ]
@@ -347,15 +346,15 @@ def _last(arm: Arm) -> float:
 
 def _failures(arm: Arm, stage: str) -> dict[str, float]:
     """Share of an arm's attempts at a stage that failed, by cause."""
-    last = max(point["step"] for point in arm.runs[0].result["evals"])
-    step = {"zero-shot": "0", "while learning": None}.get(stage, str(last))
+    last = max(point.step for point in arm.runs[0].result.evals)
+    step = {"zero-shot": 0, "while learning": None}.get(stage, last)
     policy = arm.runs[0].choices.get("policy")
     rows = [
         row
         for run in arm.runs
         for row in run.attempts
-        if (row["phase"] == "finetune" if step is None else row["phase"] != "finetune" and row["step"] == step)
-        and (step is None or row["policy"] == policy)
+        if (row.phase == "finetune" if step is None else row.phase != "finetune" and row.step == step)
+        and (step is None or row.policy == policy)
     ]
-    failed = Counter(row["cause"] for row in rows if row["success"] == "0")
+    failed = Counter(row.cause for row in rows if not row.success)
     return {cause: count / len(rows) for cause, count in failed.items()}

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
-import re
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import accumulate
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
-from see2act.experiment import attempts_csv
-from see2act.experiment.config import CHOICES, LOCAL, LOCAL_ROBOT, LOCAL_TRAINER, WORD
-from see2act.robot.types import Split
 from tqdm import tqdm
 from yaml import YAMLError
 
-SPLITS: tuple[Split, ...] = get_args(Split)
-PHASES = ("zero_shot", "eval", "eval_argmax")
+from see2act.errors import DamagedFile
+from see2act.experiment import attempts
+from see2act.experiment.attempts import AttemptRow
+from see2act.experiment.identity import LOCAL, LOCAL_ROBOT, LOCAL_TRAINER
+from see2act.experiment.results import RunResult, curve, read_result
+from see2act.robot.types import Split
+
 OPAQUE = (".hydra", "checkpoints", "figures", "wandb", ".git", ".venv", ".cache")
 """Folders that hold no runs, and may be large."""
 CONDITIONS = (
@@ -49,10 +48,6 @@ ATTEMPTS = ("attempts.csv.gz", "attempts.csv")
 """Where the attempts of a run are: compressed in runs that were kept."""
 
 
-class BrokenRun(ValueError):
-    """A result that cannot be used; the message says why in a few words."""
-
-
 @dataclass(frozen=True)
 class Run:
     """A finished run."""
@@ -60,37 +55,38 @@ class Run:
     folder: Path
     place: str
     """The folder, from where the search began."""
-    result: dict[str, Any]
+    result: RunResult
     config: dict[str, str]
     """Flat: ``finetune.logit_scale`` to ``0.25``; empty if the folder has none."""
     overrides: tuple[str, ...] | None
-    attempts: list[dict[str, str]]
+    attempts: list[AttemptRow]
     """Rows of attempts.csv; empty if it cannot be read."""
     setting: dict[str, str]
 
     @property
     def seed(self) -> int:
         """Of fine-tuning."""
-        return int(self.result["choices"]["seed"])
+        return self.result.seed
 
     @property
     def choices(self) -> dict[str, str]:
         """What was typed, without the seed."""
-        return {key: str(value) for key, value in self.result["choices"].items() if key != "seed"}
+        return {key: str(value) for key, value in self.result.choices.items() if key != "seed"}
 
-    def counts(self, phase: str, split: str) -> tuple[int, int]:
+    def counts(self, phase: str, split: Split) -> tuple[int, int]:
         """Successes and attempts."""
-        return self.result[phase][split]["successes"], self.result[phase][split]["attempts"]
+        counts = self.result.phase(phase)[split]
+        return counts.successes, counts.attempts
 
-    def scores(self, phase: str, split: str) -> list[float]:
+    def scores(self, phase: str, split: Split) -> list[float]:
         """Success rate of each test run."""
-        return [rate(run) for run in self.result[phase][split]["runs"]]
+        return [run.success_rate for run in self.result.phase(phase)[split].runs]
 
     @property
     def learning(self) -> tuple[int, int]:
         """Successes and attempts while fine-tuning; (0, 0) without fine-tuning."""
-        curve = self.result["curve"]
-        return sum(block["successes"] for block in curve), sum(block["attempts"] for block in curve)
+        curve = self.result.curve
+        return sum(block.successes for block in curve), sum(block.attempts for block in curve)
 
 
 @dataclass(frozen=True)
@@ -128,9 +124,10 @@ def read(folder: Path) -> Holdings:
             continue
         try:
             held.runs.append(_read(path, place, held.notices))
-        except BrokenRun as error:
-            held.broken.append((place, str(error)))
-            held.notices.append(f"Left out, since its result.json cannot be used: {place} ({error}).")
+        except (DamagedFile, OSError) as error:
+            reason = str(error)
+            held.broken.append((place, reason))
+            held.notices.append(f"Left out, since its result.json cannot be used: {place} ({reason}).")
     return held
 
 
@@ -157,71 +154,12 @@ def _once(places: list[Path]) -> list[Path]:
 
 
 def _read(folder: Path, place: str, notices: list[str]) -> Run:
-    try:
-        result = json.loads((folder / "result.json").read_text())
-    except (OSError, ValueError) as error:
-        raise BrokenRun(f"it cannot be read as JSON: {' '.join(str(error).split())}") from None
-    try:
-        check(result)
-    except (LookupError, TypeError, AttributeError) as error:
-        raise BrokenRun(f"it lacks something: {type(error).__name__} {error}") from None
+    result = read_result(folder / "result.json")
     config = _config(folder)
     if config is None:
         notices.append(f"{place} has no readable .hydra/config.yaml: its protocol is unknown, so it is kept apart.")
     attempts = _attempts(folder, place, result, notices)
     return Run(folder, place, result, _flat(config), _overrides(folder), attempts, _setting(result, config))
-
-
-def check(result: Any) -> None:
-    """Refuse what this project cannot have written.
-
-    Raises:
-        BrokenRun: Counts that contradict each other.
-        LookupError, TypeError, AttributeError: Something is missing, or of the wrong kind.
-    """
-    choices = result["choices"]
-    if not all(re.fullmatch(WORD, choices[key]) for key in CHOICES):
-        raise BrokenRun("choices are no words")
-    if not isinstance(choices["seed"], int):
-        raise BrokenRun(f"seed {choices['seed']} is no number")
-    if not isinstance(result["config_hash"], str) or not result["versions"].items():
-        raise BrokenRun("hash or versions are missing")
-    sum(result["seconds"].values())
-    points = [*(result[phase] for phase in PHASES), *result["evals"]]
-    for point in points:
-        for split in SPLITS:
-            _check_counts(point[split])
-    if len({len(point[split]["runs"]) for point in points for split in SPLITS}) > 1:
-        raise BrokenRun("its evaluations have different numbers of test runs")
-    for block in result["curve"]:
-        rate(block)
-    if [block["step"] for block in result["curve"]] != [*accumulate(block["attempts"] for block in result["curve"])]:
-        raise BrokenRun("the steps of its curve are not what its attempts sum up to")
-    steps = [point["step"] for point in result["evals"]]
-    if not steps or not all(isinstance(step, int) for step in steps) or steps != sorted({*steps}):
-        raise BrokenRun("evals are missing, or not in order")
-
-
-def _check_counts(counts: dict[str, Any]) -> None:
-    for run in (counts, *counts["runs"]):
-        rate(run)
-    totals = tuple(sum(run[key] for run in counts["runs"]) for key in ("successes", "attempts"))
-    if totals != (counts["successes"], counts["attempts"]):
-        raise BrokenRun(f"test runs sum up to {totals[0]}/{totals[1]}, not {counts['successes']}/{counts['attempts']}")
-    if not abs(counts["rate"] - rate(counts)) < 1e-6:  # a rate that is no number is wrong too
-        raise BrokenRun(f"rate {counts['rate']} is not {counts['successes']}/{counts['attempts']}")
-
-
-def rate(counts: dict[str, Any]) -> float:
-    """Of successes in attempts.
-
-    Raises:
-        BrokenRun: The counts are impossible.
-    """
-    successes, attempts = counts["successes"], counts["attempts"]
-    if not (isinstance(successes, int) and isinstance(attempts, int) and 0 <= successes <= attempts and attempts > 0):
-        raise BrokenRun(f"{successes!r} successes of {attempts!r} attempts")
-    return successes / attempts
 
 
 def _config(folder: Path) -> DictConfig | None:
@@ -252,17 +190,13 @@ def _overrides(folder: Path) -> tuple[str, ...] | None:
     return tuple(map(str, overrides))
 
 
-def _attempts(folder: Path, place: str, result: dict[str, Any], notices: list[str]) -> list[dict[str, str]]:
+def _attempts(folder: Path, place: str, result: RunResult, notices: list[str]) -> list[AttemptRow]:
     try:
-        rows = attempts_csv.read(attempts_of(folder) or folder / ATTEMPTS[-1])
-        learned = [int(row["success"]) for row in rows if row["phase"] == "finetune"]
-        for row in rows:
-            float(row["robot_seconds"]), row["cause"], row["policy"], int(row["step"])
+        rows = attempts.read(attempts_of(folder) or folder / ATTEMPTS[-1])
     except UNREADABLE as error:
         notices.append(f"{place}/attempts.csv cannot be read ({_reason(error)}): robot time and causes leave this run out.")
         return []
-    expected = [(block["successes"], block["attempts"]) for block in result["curve"]]
-    if (sum(learned), len(learned)) != (sum(s for s, _ in expected), sum(n for _, n in expected)):
+    if curve(rows) != result.curve:
         notices.append(f"{place}/attempts.csv does not belong to its result.json: robot time and causes leave this run out.")
         return []
     return rows
@@ -281,9 +215,9 @@ def attempts_of(folder: Path) -> Path | None:
     return next((folder / name for name in ATTEMPTS if (folder / name).is_file()), None)
 
 
-def _setting(result: dict[str, Any], config: DictConfig | None) -> dict[str, str]:
+def _setting(result: RunResult, config: DictConfig | None) -> dict[str, str]:
     """Everything that two runs must share before their success may be compared."""
-    choices = result["choices"]
+    choices = result.choices
     conditions = {
         k.removesuffix(".name"): v for k, v in _flat(config).items() if begins(k, CONDITIONS) and not begins(k, LEARNING)
     }
@@ -291,8 +225,8 @@ def _setting(result: dict[str, Any], config: DictConfig | None) -> dict[str, str
         **{key: value for key, value in conditions.items() if not begins(key, NO_MATTER)},
         **{key: str(choices.get(key, UNKNOWN)) for key in NAMED},
         "robot.motion": str(choices.get("motion", UNKNOWN)),
-        "evaluate.runs": str(len(result["eval"]["seen"]["runs"])),
-        **{f"version of {name}": str(version) for name, version in result["versions"].items()},
+        "evaluate.runs": str(len(result.eval.seen.runs)),
+        **{f"version of {name}": str(version) for name, version in result.versions.items()},
     }
     setting[CONFIGURATION] = UNKNOWN if config is None else "read"
     if config is not None:  # an interpolation, unless it was typed
@@ -316,7 +250,7 @@ def _unfinished(folder: Path, place: str) -> Unfinished:
     seed, most = _chosen(config, "seed"), _chosen(config, "finetune.attempts")
     if path := attempts_of(folder):
         try:
-            done = sum(row["phase"] == "finetune" for row in attempts_csv.read(path))
+            done = sum(row.phase == "finetune" for row in attempts.read(path))
             state = f"{done} of {most} fine-tuning attempts done"
         except UNREADABLE:
             state = "its attempts.csv cannot be read"

@@ -23,11 +23,12 @@ from see2act.analysis.intervals import (
     mean_interval,
     t_interval,
 )
-from see2act.analysis.runs import SPLITS, Run
-from see2act.experiment.results import wilson
+from see2act.analysis.runs import Run
+from see2act.experiment.results import SPLITS, wilson
 from see2act.files import replacing
+from see2act.robot.types import Split
 
-MEASURES = {
+MEASURES: dict[str, tuple[str, Split]] = {
     "after_unseen": ("eval", "unseen"),
     "after_seen": ("eval", "seen"),
     "zero_shot_unseen": ("zero_shot", "unseen"),
@@ -82,10 +83,10 @@ def progress(bench: Bench) -> list[Row]:
     """Success by the protocol on the way: a row for every arm, split and step at which all its seeds were tested."""
     lines = []
     for arm in bench.arms:
-        steps = [{point["step"]: point for point in run.result["evals"]} for run in arm.runs]
+        steps = [{point.step: point for point in run.result.evals} for run in arm.runs]
         for split in SPLITS:
             for step in sorted(set.intersection(*map(set, steps))):
-                counts = [(at[step][split]["successes"], at[step][split]["attempts"]) for at in steps]
+                counts = [(at[step][split].successes, at[step][split].attempts) for at in steps]
                 if step == 0 and one_measurement(arm, f"zero_shot_{split}"):
                     counts = counts[:1]
                 lines.append({**_identity(bench, arm), "step": str(step), "split": split, **_summed(counts)})

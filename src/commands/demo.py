@@ -14,7 +14,7 @@ from pathlib import Path
 
 from see2act.commands import user_errors_end_the_program
 from see2act.errors import ConfigError
-from see2act.experiment.checks import validate
+from see2act.experiment.checks import check_parts, validate
 from see2act.experiment.config import composed
 from see2act.files import writable
 
@@ -42,7 +42,7 @@ def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bo
     """
     import torch
 
-    from see2act.experiment import build, figures, trained
+    from see2act.experiment import build, figures, model_file
     from see2act.experiment.evaluation import one_test_run
     from see2act.seeding import seed_for
 
@@ -50,9 +50,9 @@ def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bo
     if "video" in cfg.robot and not any(override.startswith("robot.video=") for override in overrides):
         cfg.robot.video = film
     validate(cfg)
-    build.check_parts(cfg)
+    check_parts(cfg)
     torch.set_num_threads(cfg.threads)
-    model = trained.load(checkpoint or MODELS / f"{cfg.primitive.name}.safetensors", cfg.primitive.name)
+    model = model_file.load(checkpoint or MODELS / f"{cfg.primitive.name}.safetensors", cfg.primitive.name)
     if cfg.primitive.end_effector != model.config.primitive.end_effector:
         raise ConfigError(
             f"{checkpoint or 'models/'} did not learn with this end effector: give --checkpoint of a run that did, and the "

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import copy
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,7 +18,7 @@ from omegaconf import OmegaConf
 
 from see2act.commands import user_errors_end_the_program
 from see2act.errors import ConfigError, TransferError
-from see2act.experiment.checks import validate
+from see2act.experiment.checks import check_parts, validate
 from see2act.experiment.config import composed
 from see2act.files import writable
 
@@ -52,24 +53,26 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
     import torch  # torch and lightning take seconds, which --help should not
 
     from see2act.experiment import build, figures
-    from see2act.experiment.pipeline import Run
+    from see2act.experiment.stages.collect import collected
+    from see2act.experiment.stages.pretrain import vision_model
+    from see2act.experiment.stages.transfer import affordance_model, check_weights
 
     models, missing = {}, {}
     last = run / "checkpoints" / "affordance.ckpt" if run else None
     if run and last and not last.is_file():
         raise ConfigError(f"{last} is not there: --run takes the folder of a finished run")
     overrides = [*(_of_run(run, overrides) if run else ()), *overrides]
-    build.check_parts(composed([*overrides, "task=none", "transfer=none"]))
+    check_parts(composed([*overrides, "task=none", "transfer=none"]))
     configs = {task: composed([*overrides, f"task={task}", f"transfer={TRANSFERS.get(task, 'full')}"]) for task in tasks}
     with TemporaryDirectory() as scratch:
         for task, cfg in configs.items():
             torch.set_num_threads(cfg.threads)
-            job = Run(cfg, Path(scratch) / task)
+            make_trainer = partial(build.trainer, cfg, Path(scratch), None)
             try:
                 validate(cfg)
-                job.check_weights()
-                collection = job.collect()
-                models[task], _ = job.transfer(collection, job.pretrain(collection))
+                check_weights(cfg)
+                collection = collected(cfg)
+                models[task], _ = affordance_model(cfg, collection, vision_model(cfg, collection, make_trainer))
             except (ConfigError, TransferError) as error:
                 missing[task] = str(error)
         if not models:

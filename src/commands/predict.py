@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with user_errors_end_the_program():
         inputs = _read(args)
         # torch takes seconds to import, and a refusal should not.
-        from see2act.experiment.trained import load
+        from see2act.experiment.model_file import load
         from see2act.prediction.picture import picture
         from see2act.prediction.predict import predict
 

@@ -6,23 +6,20 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.errors import HydraException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from see2act.datamodules.labels import Task
-from see2act.errors import ConfigError
-from see2act.experiment.cache import code_hash, foreign_code, given_files
-from see2act.experiment.checks import check_arguments
-from see2act.experiment.config import content_hash, one_line
-from see2act.experiment.results import packages
+from see2act.experiment.identity import code_hash, hash_of, packages, plain
 from see2act.policy import Policy
 from see2act.robot.robot import SimulatedRobot
-from see2act.robot.types import RobotError
 
 if TYPE_CHECKING:
+    import lightning as L
     import torch  # takes seconds, which --help should not
+    from lightning.pytorch.loggers import Logger
+
+    from see2act.modules.network import PixelNetwork
 
 
 def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any, end_effector: Any) -> SimulatedRobot:
@@ -39,117 +36,22 @@ def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any,
 
 def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRobot]:
     """Builds the robot of a run with a primitive's end effector; picklable."""
-    robot = _plain(cfg.robot)
-    if robot.get("layouts"):
-        robot["layouts"] = str(Path(robot["layouts"]).absolute() / _layouts_key(cfg))
-    return partial(
-        make_robot,
-        robot=robot,
-        workspace=_plain(cfg.workspace),
-        camera=_plain(cfg.camera),
-        objects=_plain(cfg.objects),
-        end_effector=_plain(primitive.end_effector),
-    )
+    parts = plain(cfg, "robot", "workspace", "camera", "objects")
+    if parts["robot"].get("layouts"):
+        parts["robot"]["layouts"] = str(Path(parts["robot"]["layouts"]).absolute() / _layouts_key(cfg))
+    return partial(make_robot, **parts, **plain(primitive, "end_effector"))
 
 
 def _layouts_key(cfg: DictConfig) -> str:
     """Hash of all that decides how objects settle: the same for every tool and camera."""
-    keys: dict[str, Any] = {
-        "bin": _plain(cfg.robot.get("bin", {})),
-        "workspace": _plain(cfg.workspace),
-        "objects": _plain(cfg.objects),
-    }
-    keys |= {"code": _code_of_robots(), "versions": packages()}
-    return content_hash(given_files(keys) | foreign_code(keys))
+    keys = plain(cfg, "workspace", "objects")
+    keys["bin"] = OmegaConf.to_container(cfg.robot.get("bin") or OmegaConf.create(), resolve=True)
+    return hash_of(keys | {"code": _code_of_robots(), "versions": packages()})
 
 
 @cache  # robots are built often
 def _code_of_robots() -> str:
     return code_hash("robot", "seeding.py")
-
-
-def check_parts(cfg: DictConfig) -> None:
-    """Build what is cheap to build, so that wrong parameters of objects, camera or workspace show now.
-
-    Raises:
-        ConfigError: With one line.
-    """
-    import torch  # takes seconds, which --help should not
-
-    try:
-        for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
-            check_arguments(cfg[group], group)
-        robot_factory(cfg, cfg.primitive)().close()
-        policy(cfg)
-        with torch.device("meta"):  # parameters without values: nothing is drawn from anybody's generator
-            instantiate(cfg.model.network)
-    except (RobotError, HydraException, OmegaConfBaseException) as error:
-        cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
-        raise ConfigError(one_line(cause)) from None
-
-
-def check_run(cfg: DictConfig) -> None:
-    """The same, and what a run alone needs; apart, since Lightning takes seconds that a robot by itself need not wait for.
-
-    Raises:
-        ConfigError: With one line.
-    """
-    check_parts(cfg)
-    for group in ("trainer", "logger", "collect.primitive"):
-        check_arguments(OmegaConf.select(cfg, group), group)
-    learns_to_see = cfg.task.label and not cfg.task.weights
-    if learns_to_see:
-        _check_shape(cfg)
-    _check_trainer(cfg, {} if learns_to_see else one_device(cfg))
-
-
-def _check_shape(cfg: DictConfig) -> None:
-    """Run a heightmap through the network: a vision model learns from whole ones, of whatever size the workspace has."""
-    import torch
-
-    rows, cols = instantiate(cfg.workspace).shape
-    with torch.random.fork_rng(devices=[]), torch.no_grad():
-        network = instantiate(cfg.model.network).eval()
-        try:
-            given = tuple(network(torch.zeros(1, 4, rows, cols)).shape)
-        except (RuntimeError, ValueError, AssertionError) as error:
-            raise ConfigError(
-                f"model={cfg.model.name} takes no heightmap of {rows} x {cols} pixels: {one_line(error)}"
-            ) from None
-    if given != (1, 1, rows, cols):
-        raise ConfigError(
-            f"model={cfg.model.name} gives {given} for a heightmap of {rows} x {cols} pixels, not (1, 1, {rows}, {cols}): "
-            f"its head must give a logit for every pixel of an input whose sides are multiples of its stride, {network.stride}"
-        )
-
-
-def one_device(cfg: DictConfig) -> dict[str, Any]:
-    """What deciding and learning from the robot take of the trainer: one device, since each attempt waits for the one before.
-
-    Only pre-training has use for more.
-    """
-    devices = cfg.trainer.get("devices", 1)
-    alone = OmegaConf.to_container(devices) if OmegaConf.is_list(devices) and len(devices) == 1 else 1
-    return {"devices": alone, "strategy": "auto"}
-
-
-def device(cfg: DictConfig) -> torch.device:
-    """Where networks decide and learn."""
-    found: torch.device = instantiate(cfg.trainer)(**one_device(cfg)).strategy.root_device
-    return found
-
-
-def _check_trainer(cfg: DictConfig, here: dict[str, Any]) -> None:
-    """Build one, since what it asks for need not be in this machine."""
-    from lightning.pytorch.utilities.exceptions import MisconfigurationException
-
-    from see2act.experiment.quiet import quiet
-
-    quiet()
-    try:
-        instantiate(cfg.trainer)(**here)
-    except (HydraException, MisconfigurationException, ValueError, TypeError, RuntimeError) as error:
-        raise ConfigError(f"this machine has no such trainer: {one_line(error)}") from None
 
 
 def policy(cfg: DictConfig) -> Policy:
@@ -164,7 +66,45 @@ def task(cfg: DictConfig) -> Task:
     return built
 
 
-def _plain(node: Any) -> Any:
-    if not OmegaConf.is_config(node):
-        return node
-    return OmegaConf.to_container(node, resolve=True)
+def network(cfg: DictConfig, seed: int) -> PixelNetwork:
+    """The network, initialised from a seed, in the configured precision."""
+    import torch
+
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        built: PixelNetwork = instantiate(cfg.model.network)
+    built.set_precision(cfg.precision)
+    return built
+
+
+def trainer(cfg: DictConfig, folder: Path, logger: Logger | None, **more: Any) -> L.Trainer:
+    """A trainer as configured, with what a stage adds."""
+    built: L.Trainer = instantiate(cfg.trainer)(default_root_dir=str(folder), logger=logger or False, **more)
+    return built
+
+
+def fit(trainer: L.Trainer, module: L.LightningModule, data: L.LightningDataModule, **more: Any) -> None:
+    """Train to the end.
+
+    Raises:
+        KeyboardInterrupt: A signal ended it; what follows must not take it for finished.
+    """
+    trainer.fit(module, datamodule=data, **more)
+    if trainer.interrupted:  # Lightning says nothing else of a SIGTERM
+        raise KeyboardInterrupt
+
+
+def one_device(cfg: DictConfig) -> dict[str, Any]:
+    """The trainer's keys for learning from the robot: one device, since each attempt waits for the one before.
+
+    Only pre-training has use for more.
+    """
+    devices = cfg.trainer.get("devices", 1)
+    alone = OmegaConf.to_container(devices) if OmegaConf.is_list(devices) and len(devices) == 1 else 1
+    return {"devices": alone, "strategy": "auto"}
+
+
+def device(cfg: DictConfig) -> torch.device:
+    """Where networks decide and learn."""
+    found: torch.device = instantiate(cfg.trainer)(**one_device(cfg)).strategy.root_device
+    return found

@@ -9,11 +9,15 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from hydra.utils import get_object
+from hydra.errors import HydraException
+from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from see2act.errors import ConfigError
-from see2act.experiment.config import CHOICES, WORD, Config
+from see2act.experiment.config import Config, one_line
+from see2act.experiment.identity import CHOICES, WORD
+from see2act.robot.types import RobotError
 
 
 def check_arguments(node: Any, path: str) -> None:
@@ -257,3 +261,75 @@ def _at_least(key: str, value: float, least: float) -> None:
         raise ConfigError(f"{key}={value} is no number: it must be at least {least}")
     if value < least:
         raise ConfigError(f"{key}={value} is too small: it must be at least {least}")
+
+
+def check_parts(cfg: DictConfig) -> None:
+    """Build what is cheap to build, so that wrong parameters of objects, camera or workspace show now.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    import torch  # takes seconds, which --help should not
+
+    from see2act.experiment import build
+
+    try:
+        for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
+            check_arguments(cfg[group], group)
+        build.robot_factory(cfg, cfg.primitive)().close()
+        build.policy(cfg)
+        with torch.device("meta"):  # parameters without values: nothing is drawn from anybody's generator
+            instantiate(cfg.model.network)
+    except (RobotError, HydraException, OmegaConfBaseException) as error:
+        cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
+        raise ConfigError(one_line(cause)) from None
+
+
+def check_run(cfg: DictConfig) -> None:
+    """The same, and what a run alone needs; apart, since Lightning takes seconds that a robot by itself need not wait for.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    from see2act.experiment import build
+
+    check_parts(cfg)
+    for group in ("trainer", "logger", "collect.primitive"):
+        check_arguments(OmegaConf.select(cfg, group), group)
+    learns_to_see = cfg.task.label and not cfg.task.weights
+    if learns_to_see:
+        _check_shape(cfg)
+    _check_trainer(cfg, {} if learns_to_see else build.one_device(cfg))
+
+
+def _check_shape(cfg: DictConfig) -> None:
+    """Run a heightmap through the network: a vision model learns from whole ones, of whatever size the workspace has."""
+    import torch
+
+    rows, cols = instantiate(cfg.workspace).shape
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        network = instantiate(cfg.model.network).eval()
+        try:
+            given = tuple(network(torch.zeros(1, 4, rows, cols)).shape)
+        except (RuntimeError, ValueError, AssertionError) as error:
+            raise ConfigError(
+                f"model={cfg.model.name} takes no heightmap of {rows} x {cols} pixels: {one_line(error)}"
+            ) from None
+    if given != (1, 1, rows, cols):
+        raise ConfigError(
+            f"model={cfg.model.name} gives {given} for a heightmap of {rows} x {cols} pixels, not (1, 1, {rows}, {cols}): "
+            f"its head must give a logit for every pixel of an input whose sides are multiples of its stride, {network.stride}"
+        )
+
+
+def _check_trainer(cfg: DictConfig, here: dict[str, Any]) -> None:
+    """Build one, since what it asks for need not be in this machine."""
+    from lightning.pytorch.utilities.exceptions import MisconfigurationException
+
+    from see2act.experiment.quiet import quiet
+
+    quiet()
+    try:
+        instantiate(cfg.trainer)(**here)
+    except (HydraException, MisconfigurationException, ValueError, TypeError, RuntimeError) as error:
+        raise ConfigError(f"this machine has no such trainer: {one_line(error)}") from None

@@ -1,9 +1,7 @@
-"""The schema of a run's configuration, how it is composed, and its hash."""
+"""The schema of a run's configuration, and how it is composed."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,20 +14,8 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from see2act.errors import ConfigError
-from see2act.experiment.cache import foreign_code, given_files
-from see2act.experiment.processor import fastest_precision
-
-LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
-"""What leaves the results as they are, or has a place of its own in the run's path: not part of the hash."""
-LOCAL_TRAINER = ("logger", "log_every_n_steps", "num_sanity_val_steps")
-"""The same of the trainer's keys, with everything that starts with ``enable_``, the processor, and one device."""
-LOCAL_ROBOT = ("video", "layouts")
-"""The same of the robot's keys."""
-CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
-"""Groups whose names a result has."""
-WORD = r"\w+"
-"""What such a name must match."""
-HASH_LENGTH = 12
+from see2act.experiment.identity import config_hash
+from see2act.experiment.precision import fastest_precision
 
 
 @dataclass
@@ -195,7 +181,7 @@ class Config:
     labels: str = "truth"
     seed: int = 0
     precision: str = MISSING
-    """``bf16`` or ``fp32``; see :mod:`see2act.experiment.processor`."""
+    """``bf16`` or ``fp32``; see :mod:`see2act.experiment.precision`."""
     threads: int = 2
     """Of torch. Sums depend on it in the last digits, as they do on the processor; neither is part of the hash."""
     force: bool = False
@@ -254,38 +240,3 @@ def one_line(error: BaseException) -> str:
         key = text.split("Could not override '")[1].split("'")[0]
         return f"there is no configuration key '{key}': see `python train.py --cfg job` for all of them"
     return text.replace("Available options in", "choose from the options of")
-
-
-def config_hash(cfg: DictConfig) -> str:
-    """Hash of everything that can change a result but the seed: the runs that differ by seed alone share it."""
-    resolved: dict[str, Any] = {}
-    for key in (str(key) for key in cfg if key not in LOCAL):
-        value = cfg[key]
-        resolved[key] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
-    resolved["collect"].pop("workers")
-    resolved["robot"] = relevant_robot(cfg)
-    resolved["trainer"] = relevant_trainer(cfg)
-    return content_hash(given_files(resolved) | foreign_code(resolved))
-
-
-def relevant_robot(cfg: DictConfig) -> dict[str, Any]:
-    """The robot's keys that can change a result."""
-    robot: dict[str, Any] = OmegaConf.to_container(cfg.robot, resolve=True)  # type: ignore[assignment]
-    return {key: value for key, value in robot.items() if key not in LOCAL_ROBOT}
-
-
-def relevant_trainer(cfg: DictConfig) -> dict[str, Any]:
-    """The trainer's keys that can change a result."""
-    trainer: dict[str, Any] = OmegaConf.to_container(cfg.trainer, resolve=True)  # type: ignore[assignment]
-    deciding = {k: v for k, v in trainer.items() if k not in LOCAL_TRAINER and not k.startswith("enable_")}
-    if deciding.get("accelerator") == "cpu":  # another one rounds otherwise, and attempts soon differ
-        del deciding["accelerator"]
-    devices = deciding.get("devices")
-    if devices == 1 or (isinstance(devices, list) and len(devices) == 1):  # several share a batch's work, and change it
-        del deciding["devices"]
-    return deciding
-
-
-def content_hash(data: object) -> str:
-    """Twelve hexadecimal digits that depend on plain data only."""
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:HASH_LENGTH]

@@ -11,7 +11,8 @@ from hydra.utils import instantiate
 from lightning.pytorch.loggers import Logger, TensorBoardLogger, WandbLogger
 from matplotlib.image import imread
 from omegaconf import DictConfig, OmegaConf
-from see2act.experiment import attempts_csv
+
+from see2act.experiment import attempts
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,8 @@ class Dashboard:
             case WandbLogger():
                 for picture in pictures:
                     self.logger.log_image(f"figures/{picture.stem}", [str(picture)])
-                rows = [list(row.values()) for row in attempts_csv.read(folder / "attempts.csv")]
-                self.logger.log_table("attempts", list(attempts_csv.COLUMNS), rows)
+                rows = [list(row.texts().values()) for row in attempts.read(folder / "attempts.csv")]
+                self.logger.log_table("attempts", list(attempts.COLUMNS), rows)
             case TensorBoardLogger():
                 for picture in pictures:
                     image = imread(picture)[..., :3]

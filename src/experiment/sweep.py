@@ -12,9 +12,11 @@ from typing import Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from see2act.errors import DamagedFile
-from see2act.experiment.results import versions
-from see2act.files import read_json, replacing
+from see2act.errors import DamagedFile, MissingWeights, UserError
+from see2act.experiment.checks import illegal_cell
+from see2act.experiment.folder import begun_by_another_version, of_this_version
+from see2act.experiment.single import run_checked
+from see2act.files import replacing
 
 log = logging.getLogger("see2act")
 SKIPPED, LEFT_OUT, MISSING, FAILED, OTHER = "skipped.txt", "left_out.txt", "missing.txt", "failed.txt", "other_version.txt"
@@ -64,12 +66,51 @@ class Summary(Callback):
             Summary.failures += 1
 
 
-def note(folder: Path, name: str, text: str) -> None:
+def run_job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
+    """One job of a sweep: run it, or leave a note why it did not run. One job that fails must not end the others.
+
+    Args:
+        cfg: Of the job.
+        folder: Of the job.
+        sweep: Folder of the sweep.
+
+    Returns:
+        The final success rate on unseen objects; None if it did not run.
+    """
+    _clear_notes(folder)
+    cell = f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}"
+    if reason := illegal_cell(cfg):
+        if not cfg.cells:  # of an experiment that names its cells nobody misses the others
+            _note(folder, SKIPPED, f"{cfg.primitive.name}: {reason}")
+        return None
+    if cfg.cells and cell not in cfg.cells:
+        _note(folder, LEFT_OUT, cell)
+        return None
+    try:
+        if not cfg.force and (duplicate := finished_elsewhere(folder, sweep)):
+            link(duplicate, folder)
+        result = folder / "result.json"
+        if not cfg.force and (not of_this_version(result) if result.exists() else begun_by_another_version(folder)):
+            _note(folder, OTHER, "finished" if result.exists() else "begun, and not finished")
+            return None
+        return run_checked(cfg, folder)
+    except MissingWeights as error:
+        _note(folder, MISSING, str(error))
+    except UserError as error:
+        log.error("this job failed: %s", error)
+        _note(folder, FAILED, str(error))
+    except Exception as error:
+        log.exception("this job failed")
+        _note(folder, FAILED, f"{type(error).__name__}: {error}")
+    return None
+
+
+def _note(folder: Path, name: str, text: str) -> None:
     """Leave a note of one line in a job's folder."""
     (folder / name).write_text(" ".join(text.split()))
 
 
-def clear_notes(folder: Path) -> None:
+def _clear_notes(folder: Path) -> None:
     """Remove those of an earlier try."""
     for name in TOLD:
         (folder / name).unlink(missing_ok=True)
@@ -93,13 +134,13 @@ def _usable(result: Path) -> bool:
         return False
 
 
-def link(twin: Path, folder: Path) -> None:
+def link(duplicate: Path, folder: Path) -> None:
     """Make everything a finished run left appear in ``folder`` too.
 
     By hard links, which take no room and last when the other run is moved aside or deleted. What was cut short is linked anew.
     """
     # A result means done, so it comes after all that belongs to it; run.json alone would mean half a run.
-    for path in sorted(twin.iterdir(), key=lambda path: (path.name == "run.json", path.name == "result.json")):
+    for path in sorted(duplicate.iterdir(), key=lambda path: (path.name == "run.json", path.name == "result.json")):
         there = folder / path.name
         if path.name.startswith(".") or path.name in TOLD:
             continue
@@ -107,7 +148,7 @@ def link(twin: Path, folder: Path) -> None:
             shutil.copytree(path, there, copy_function=_share, dirs_exist_ok=True)
         else:
             _share(path, there)
-    log.info("the same run is finished in %s: linked, not run again", twin)
+    log.info("the same run is finished in %s: linked, not run again", duplicate)
 
 
 def _share(path: str | Path, there: str | Path) -> None:
@@ -118,12 +159,3 @@ def _share(path: str | Path, there: str | Path) -> None:
     except OSError:  # a file system without hard links
         with replacing(Path(there)) as partial:
             shutil.copy2(path, partial)
-
-
-def of_this_version(result: Path) -> bool:
-    """Whether the run of a ``result.json`` was made by this code and these packages.
-
-    Raises:
-        DamagedFile: It is none.
-    """
-    return bool(read_json(result).get("versions") == versions())

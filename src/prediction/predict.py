@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.special import expit
 
-from see2act.experiment.trained import TrainedModel, load
+from see2act.experiment.model_file import TrainedModel, load
 from see2act.policy import room_between_walls
 from see2act.prediction.view import ImageError, View, look
 from see2act.robot.heightmap import fill_in, highest
@@ -88,7 +88,7 @@ def predict(
         intrinsics: Pinhole matrix in pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; a pixel's centre is at its index, as in
             OpenCV and RealSense.
         checkpoint: A run's ``checkpoints/model.safetensors``, one of ``models/``, or what
-            :func:`see2act.experiment.trained.load` gave.
+            :func:`see2act.experiment.model_file.load` gave.
         pose: Camera to world: x right, y down, z forward in the image; in the world z points up. Without one the dominant
             plane, of the background if there is one, is at z = 0; then the world's x is the image's to the right, and its
             origin lies where the optical axis meets that plane.
@@ -106,7 +106,7 @@ def predict(
     Raises:
         ImageError: Sizes differ, the depth is not in metres, a matrix is none, nothing is in view, or the floor is not where
             it is said to be.
-        see2act.experiment.trained.ModelFileError: The checkpoint is none.
+        see2act.experiment.model_file.ModelFileError: The checkpoint is none.
 
     Example:
         >>> best = see2act.predict(color, depth, intrinsics, "models/suction.safetensors").picks[0]  # doctest: +SKIP

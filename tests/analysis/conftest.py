@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,31 +11,10 @@ import cv2
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
-from see2act.experiment.attempts_csv import COLUMNS
-from see2act.experiment.results import BLOCK
 
-Counts = Sequence[tuple[int, int]]
-"""Successes and attempts of each test run."""
-VERSIONS = {"python": "3.11.7", "see2act": "0.1.0", "numpy": "2.4.6"}
-
-
-def _part(counts: Counts) -> dict[str, Any]:
-    successes, attempts = (sum(column) for column in zip(*counts, strict=True))
-    runs = [{"scene_seed": i, "successes": s, "attempts": n, "lost": 0} for i, (s, n) in enumerate(counts)]
-    return {
-        **{"successes": successes, "attempts": attempts, "rate": successes / attempts},
-        **{"truth_successes": successes, "runs": runs},
-    }
-
-
-def _point(seen: Counts, unseen: Counts) -> dict[str, Any]:
-    return {"seen": _part(seen), "unseen": _part(unseen)}
-
-
-def _curve(learned: Sequence[int]) -> list[dict[str, int]]:
-    blocks = [learned[i : i + BLOCK] for i in range(0, len(learned), BLOCK)]
-    steps = [min((i + 1) * BLOCK, len(learned)) for i in range(len(blocks))]
-    return [{"step": step, "successes": sum(b), "attempts": len(b)} for step, b in zip(steps, blocks, strict=True)]
+from see2act.experiment.attempts import AttemptsCsv
+from see2act.experiment.results import SPLITS, RunResult
+from tests.factory import VERSIONS, Counts, attempt_row, finished_run
 
 
 @pytest.fixture
@@ -78,41 +56,36 @@ def make_run(tmp_path: Path) -> Callable[..., Path]:
         OmegaConf.save(full, folder / ".hydra" / "config.yaml")
         OmegaConf.save(OmegaConf.create([*overrides, f"seed={seed}"]), folder / ".hydra" / "overrides.yaml")
         (folder / "run.json").write_text(json.dumps({"config_hash": config_hash, "seed": seed}))
-        before, after = _point(zero, zero), _point(seen, unseen)
-        if not learned:
-            before = after = {**before, "repeated": True}
-        steps = {0: before, len(learned): after}
-        _write_attempts(folder / "attempts.csv", primitive, steps, learned)
+        result = finished_run(seed, config_hash, seen, unseen, zero, learned, versions, **words)
+        _write_attempts(folder / "attempts.csv", result, learned)
         if pictures:
             (folder / "figures").mkdir()
             for picture in ("heatmaps", "picks"):
                 cv2.imwrite(str(folder / "figures" / f"{picture}.png"), np.full((300, 1600, 3), 90, np.uint8))
-        result = {
-            "choices": {**words, "labels": "truth", "seed": seed, "precision": "fp32", "motion": "fast"},
-            **{"config_hash": config_hash, "versions": versions, "seconds": {"finetune": 90.0, "figures": 30.0}},
-            **{"zero_shot": before, "eval": after, "eval_argmax": _point(zero, zero)},
-            **{"evals": [{"step": step, **point} for step, point in steps.items()], "curve": _curve(learned)},
-        }
         if finished:
-            (folder / "result.json").write_text(json.dumps(result))
+            (folder / "result.json").write_text(json.dumps(result.model_dump(mode="json")))
         return folder
 
     return make
 
 
-def _write_attempts(path: Path, primitive: str, steps: dict[int, dict[str, Any]], learned: Sequence[int]) -> None:
+def _write_attempts(path: Path, result: RunResult, learned: Sequence[int]) -> None:
     """Each attempt takes the robot six seconds; what fails missed, or slipped while learning."""
-    rows: list[dict[str, Any]] = []
-    common = {"policy": "suppress", "primitive": primitive, "robot_seconds": "6.000"}
-    for step, point in steps.items():
-        for split in ("seen", "unseen"):
-            for success in [1] * point[split]["successes"] + [0] * (point[split]["attempts"] - point[split]["successes"]):
-                where = {"phase": "eval" if step else "zero_shot", "split": split, "step": step, "success": success}
-                rows.append({**common, **where, "cause": "ok" if success else "missed"})
+    log, primitive = AttemptsCsv(path), result.choices["primitive"]
+    log.begin()
+    for point in result.evals:
+        for split in SPLITS:
+            for i in range(point[split].attempts):
+                success = i < point[split].successes
+                log.append(
+                    attempt_row(
+                        phase="eval" if point.step else "zero_shot",
+                        split=split,
+                        step=point.step,
+                        success=success,
+                        cause="ok" if success else "missed",
+                        primitive=primitive,
+                    )
+                )
     for step, success in enumerate(learned, 1):
-        where = {"phase": "finetune", "split": "seen", "step": step, "success": success}
-        rows.append({**common, **where, "cause": "ok" if success else "slipped"})
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="0")
-        writer.writeheader()
-        writer.writerows(rows)
+        log.append(attempt_row(step=step, success=bool(success), cause="ok" if success else "slipped", primitive=primitive))

@@ -247,10 +247,8 @@ def test_unfinished_and_broken_runs_are_listed_and_not_counted(make_run: MakeRun
     found = report(runs)
     assert _row(runs, "normal", "full")["seeds"] == "0"
     reasons = dict(found.broken)
-    assert [reasons[path.relative_to(runs).as_posix()].split(":")[0] for path in (half, missing)] == [
-        "it cannot be read as JSON",
-        "it lacks something",
-    ]
+    assert "is damaged" in reasons[half.relative_to(runs).as_posix()]
+    assert "choices: Field required" in reasons[missing.relative_to(runs).as_posix()]
     assert "99 successes of 20 attempts" in reasons[wrong.relative_to(runs).as_posix()]
     states = {u.place.split("/")[-1] + u.task: u.state for u in found.unfinished}
     assert states["seed1normal"] == "40 of 40 fine-tuning attempts done"
@@ -271,10 +269,12 @@ def test_unfinished_and_broken_runs_are_listed_and_not_counted(make_run: MakeRun
         ('"seed": 0', '"seed": "0"', "seed 0 is no number"),
         ('"primitive": "suction"', '"primitive": "../suction"', "choices are no words"),
         ('"evals": [', '"evals": [], "old": [', "evals are missing"),
-        ('"successes": 20,', '"successes": "20",', "'20' successes of 20 attempts"),
-        ('"curve": [{"step": 20, "successes": 10', '"curve": [{"step": 20, "successes": 21', "21 successes of 20 attempts"),
-        ('"curve": [{"step": 20', '"curve": [{"step": "20"', "steps of its curve"),
-        ('"evals": [{"step": 0', '"evals": [{"step": "0"', "evals are missing, or not in order"),
+        ('"successes": 20,', '"successes": "20",', "seen.successes: Input should be a valid integer"),
+        ('"successes": 10, "attempts": 20', '"successes": 21, "attempts": 20', "21 successes of 20 attempts"),
+        ('"attempts": 20, "step": 20', '"attempts": 20, "step": "20"', "curve.0.step: Input should be a valid integer"),
+        ('"attempts": 20, "step": 20', '"attempts": 20, "step": 30', "steps of its curve"),
+        ('"step": 0}', '"step": "0"}', "evals.0.step: Input should be a valid integer"),
+        ('"step": 0}', '"step": 50}', "evals are missing, or not in order"),
     ],
 )
 def test_an_impossible_result_is_left_out_with_the_reason(

@@ -12,7 +12,7 @@ from hydra.utils import instantiate
 
 from see2act.commands.demo import MODELS, clear, main
 from see2act.errors import ConfigError
-from see2act.experiment import trained
+from see2act.experiment import model_file
 from see2act.experiment.config import composed
 
 FEW = ("objects.kinds=1", "objects.copies=2", "seed=2")
@@ -22,8 +22,8 @@ FEW = ("objects.kinds=1", "objects.copies=2", "seed=2")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cfg = composed(["model.width=4", "primitive=suction"])
     torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("models") / trained.FILE
-    trained.save(path, instantiate(cfg.model.network), cfg)
+    path = tmp_path_factory.mktemp("models") / model_file.FILE
+    model_file.save(path, instantiate(cfg.model.network), cfg)
     return path
 
 
@@ -53,7 +53,7 @@ def test_the_film_can_be_played(model: Path, tmp_path: Path) -> None:
 
 
 def test_what_does_not_fit_is_refused(model: Path, tmp_path: Path) -> None:
-    with pytest.raises(trained.ModelFileError, match="trained for primitive=suction, not grasp"):
+    with pytest.raises(model_file.ModelFileError, match="trained for primitive=suction, not grasp"):
         clear(["primitive=grasp"], model, tmp_path, film=False)
     with pytest.raises(ConfigError, match=r"the model learned from 0\.0025"):
         clear(["primitive=suction", "workspace=suction_real"], model, tmp_path, film=False)
@@ -75,7 +75,7 @@ def test_what_does_not_fit_is_refused(model: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("primitive", ["suction", "grasp"])
 def test_the_models_that_are_shipped_clear_most_of_a_bin(primitive: str, tmp_path: Path) -> None:
     """As any run's file, with the configuration that made it; and they pick."""
-    shipped = trained.load(MODELS / f"{primitive}.safetensors", primitive)
+    shipped = model_file.load(MODELS / f"{primitive}.safetensors", primitive)
     assert shipped.config_hash in (MODELS / "README.md").read_text()
     picked, tried = clear([f"primitive={primitive}"], None, tmp_path, film=False)
     assert picked >= 6

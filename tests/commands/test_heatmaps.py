@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
+
 from see2act.commands.heatmaps import _of_run, main
 from see2act.experiment.config import composed
 

@@ -11,30 +11,36 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import timm
 import torch
+from omegaconf import DictConfig
 from safetensors.torch import load_file, save_file
 from torchvision.models.detection import fasterrcnn_resnet50_fpn
 
 from see2act.datamodules.collect import Collection
 from see2act.errors import ConfigError, TransferError
-from see2act.experiment import attempts_csv
-from see2act.experiment.attempts_csv import AttemptsCsv
+from see2act.experiment import attempts, build
 from see2act.experiment.config import composed
-from see2act.experiment.evaluation import Counts
-from see2act.experiment.pipeline import Run
+from see2act.experiment.context import RunContext
+from see2act.experiment.progress import Progress
+from see2act.experiment.stages.collect import collected
+from see2act.experiment.stages.evaluate import _Evaluation
+from see2act.experiment.stages.pretrain import held_out_labels, vision_model, vision_path
+from see2act.experiment.stages.transfer import affordance_model, check_weights
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.nanodet import NanoDet
 from see2act.modules.nanodet_weights import FILE as NANODET
 from see2act.modules.transfer import AVERAGE
 from see2act.robot.types import Heightmap
+from tests.factory import attempt_row
 
-TRAIN = Path(__file__).parents[1] / "train.py"
+TRAIN = Path(__file__).parents[2] / "train.py"
 TINY = (
     *(
         "threads=1",
@@ -179,23 +185,16 @@ def test_what_seeds_have_in_common_is_evaluated_once(run: tuple[Path, str], cach
 
 
 def test_the_plain_rule_repeats_only_test_runs_with_a_failure(config: Callable, tmp_path: Path) -> None:
-    job = Run(config("finetune.attempts=6"), tmp_path)
-    job._attempts = AttemptsCsv(tmp_path / "attempts.csv", lambda row: True)
-    where = {"phase": "eval", "policy": "suppress", "step": 6}
-    outcomes = {("seen", 0): (1, 1), ("seen", 1): (1, 0), ("unseen", 0): (1,)}
-    empty = dict.fromkeys(attempts_csv.COLUMNS, 0)
-    for (split, number), successes in outcomes.items():
-        job._attempts.extend([{**empty, **where, "split": split, "run": number, "success": s, "truth": s} for s in successes])
-    job._attempts.extend([{**empty, **where, "step": 3, "split": "unseen", "run": 1, "success": 1}])  # of an earlier evaluation
-    assert job._without_failure("argmax") == {
-        ("seen", 0): [Counts(True, True, 0)] * 2,
-        ("unseen", 0): [Counts(True, True, 0)],
-    }
-    added = attempts_csv.read(tmp_path / "attempts.csv")[6:]
-    assert [(row["policy"], row["split"], row["run"]) for row in added] == [
-        *[("argmax", "seen", "0")] * 2,
-        ("argmax", "unseen", "0"),
-    ]
+    context = RunContext(config("finetune.attempts=6"), tmp_path)
+    context.log.begin()
+    for split, number, successes in (("seen", 0, (1, 1)), ("seen", 1, (1, 0)), ("unseen", 0, (1,))):
+        context.log.append(*(attempt_row(phase="eval", step=6, split=split, run=number, success=bool(s)) for s in successes))
+    context.log.append(attempt_row(phase="eval", step=3, split="unseen", run=1))  # of an earlier evaluation
+    policy = build.policy(context.cfg).plain()
+    known = _Evaluation(context, None, policy, 6)._without_failure()  # type: ignore[arg-type]
+    assert {key: len(rows) for key, rows in known.items()} == {("seen", 0): 2, ("unseen", 0): 1}
+    added = attempts.read(tmp_path / "attempts.csv")[6:]
+    assert [(row.policy, row.split, row.run) for row in added] == [*[("argmax", "seen", 0)] * 2, ("argmax", "unseen", 0)]
 
 
 def test_a_finished_run_is_not_repeated(run: tuple[Path, str], cache: Path) -> None:
@@ -246,9 +245,9 @@ def test_kill_ends_a_run_promptly_while_it_is_evaluated_too(tmp_path: Path, cach
         process.kill()
 
 
-def test_one_vision_model_serves_both_primitives_however_they_learn(config: Callable, tmp_path: Path) -> None:
+def test_one_vision_model_serves_both_primitives_however_they_learn(config: Callable) -> None:
     def kept(*overrides: str) -> Path:
-        return Run(config("task=edge", *overrides), tmp_path).vision_path()
+        return vision_path(config("task=edge", *overrides))
 
     assert kept("primitive=grasp") == kept("primitive=suction") == kept("primitive.lr=0.1", "finetune.head_lr=0.2")
     others = {kept(), kept("pretrain.lr=0.1"), kept("model.width=4"), kept("task=corner"), kept("labels=vision")}
@@ -256,45 +255,43 @@ def test_one_vision_model_serves_both_primitives_however_they_learn(config: Call
 
 
 def test_a_vision_model_that_diverged_is_not_kept(cache: Path, tmp_path: Path) -> None:
-    job = Run(composed([*TINY, "model.width=4", f"paths.cache={cache}", "task=foreground", "pretrain.lr=1e30"]), tmp_path)
+    cfg = composed([*TINY, "model.width=4", f"paths.cache={cache}", "task=foreground", "pretrain.lr=1e30"])
     with pytest.raises(ConfigError, match=r"the vision model has diverged .*: lower pretrain\.lr"):
-        job.pretrain(job.collect())
-    assert not job.vision_path().exists()
+        vision_model(cfg, collected(cfg), partial(build.trainer, cfg, tmp_path, None))
+    assert not vision_path(cfg).exists()
 
 
-def test_a_task_that_labels_nothing_held_out_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_that_labels_nothing_held_out_is_refused() -> None:
     color, height, valid = np.zeros((2, 8, 8, 3), np.uint8), np.zeros((2, 8, 8), np.float32), np.ones((2, 8, 8), bool)
     seen = {"color": color, "height": height, "valid": valid}
     bins = {**seen, **{f"clean_{name}": values for name, values in seen.items()}, "body": np.full((2, 8, 8), -1)}
-    job = Run(composed(["task=foreground", "transfer=full"]), tmp_path)
-    monkeypatch.setattr(job, "held_out", lambda: Collection(bins, Heightmap(color[0], height[0], valid[0])))
+    scenes = Collection(bins, Heightmap(color[0], height[0], valid[0]))
     with pytest.raises(ConfigError, match=r"labels nothing in 2 held-out scenes: raise pretrain\.test_scenes"):
-        job._held_out_labels()
+        held_out_labels(composed(["task=foreground", "transfer=full"]), scenes)
 
 
-def test_time_before_an_interruption_counts(config: Callable, tmp_path: Path) -> None:
-    job = Run(config(), tmp_path)
+def test_time_before_an_interruption_counts(tmp_path: Path) -> None:
+    progress = Progress.load(tmp_path / "progress.json")
 
     def cut_short() -> None:
-        with job._timed("finetune"):
+        with progress.timed("finetune"):
             time.sleep(0.2)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         cut_short()
-    assert job.progress.get("seconds")["finetune"] >= 0.2
+    assert Progress.load(tmp_path / "progress.json").seconds["finetune"] >= 0.2
 
 
-def test_seconds_of_a_stage_within_another_are_not_counted_twice(config: Callable, tmp_path: Path) -> None:
-    job = Run(config(), tmp_path)
-    with job._timed("finetune"):
+def test_seconds_of_a_stage_within_another_are_not_counted_twice(tmp_path: Path) -> None:
+    progress = Progress.load(tmp_path / "progress.json")
+    with progress.timed("finetune"):
         for _ in range(2):
-            with job._timed("evaluate"):
+            with progress.timed("evaluate"):
                 time.sleep(0.15)
         time.sleep(0.1)
-    seconds = job.progress.get("seconds")
-    assert 0.3 <= seconds["evaluate"] < 0.5
-    assert 0.1 <= seconds["finetune"] < 0.3
+    assert 0.3 <= progress.seconds["evaluate"] < 0.5
+    assert 0.1 <= progress.seconds["finetune"] < 0.3
 
 
 def test_a_vision_model_that_does_not_fit_is_refused_before_any_work(run: tuple[Path, str], tmp_path: Path) -> None:
@@ -319,9 +316,9 @@ def test_folded_batchnorm_does_not_learn_from_batches(config: Callable, tmp_path
     folded = {key: torch.zeros_like(value) if key.endswith("epsilon") else value for key, value in state.items()}
     save_file(folded, tmp_path / "coco.safetensors")
     coco = ("model=nanodet_g", "task=coco", "transfer=full", f"task.weights={tmp_path / 'coco.safetensors'}")
-    Run(config(*coco), tmp_path).check_weights()
+    check_weights(config(*coco))
     with pytest.raises(TransferError, match=r"leave finetune\.batchnorm=frozen"):
-        Run(config(*coco, "finetune.batchnorm=batch"), tmp_path).check_weights()
+        check_weights(config(*coco, "finetune.batchnorm=batch"))
 
 
 def test_what_acts_is_what_is_kept(run: tuple[Path, str]) -> None:
@@ -337,20 +334,20 @@ def test_what_is_copied_starts_less_sure_and_what_is_new_has_statistics(
 ) -> None:
     """The collection and the vision model are those of the run, from its cache."""
 
-    def transferred(transfer: str) -> tuple[Run, AffordanceModule, dict]:
+    def transferred(transfer: str) -> tuple[AffordanceModule, dict, DictConfig]:
         typed = (*TINY, "model.width=4", *RUN, "logger=none", f"paths.cache={cache}", f"transfer={transfer}")
-        job = Run(composed(typed), tmp_path / transfer)
-        collection = job.collect()
-        vision = job.pretrain(collection)
-        return job, job.transfer(collection, vision)[0], vision
+        cfg = composed(typed)
+        collection = collected(cfg)
+        vision = vision_model(cfg, collection, partial(build.trainer, cfg, tmp_path, None))
+        return affordance_model(cfg, collection, vision)[0], vision, cfg
 
-    job, module, vision = transferred("full")
-    seeing = job._network(0)
+    module, vision, cfg = transferred("full")
+    seeing = build.network(cfg, 0)
     seeing.load_state_dict(vision["network"])
     x = torch.randn(1, 4, 144, 144, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         assert torch.allclose(module.network.eval()(x), seeing.eval()(x) / 4, atol=1e-5)
-    _, module, _ = transferred("backbone")
+    module, _, _ = transferred("backbone")
     fresh = [layer for name, layer in batchnorms(module.network).items() if name.startswith("head.")]
     assert fresh
     assert all(layer.running_mean.abs().max() > 0 for layer in fresh)

@@ -16,15 +16,17 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 
-from see2act.commands.train import _alone, _check, _check_sweep, _job, _move_aside, _set_aside, identity, refuse_foreign, run
 from see2act.errors import ConfigError, DamagedFile
-from see2act.experiment.build import check_run
-from see2act.experiment.checks import illegal_cell, validate
-from see2act.experiment.config import composed, config_hash
-from see2act.experiment.results import versions
-from see2act.experiment.sweep import FAILED, OTHER, Summary, finished_elsewhere, link
+from see2act.experiment.checks import check_run, illegal_cell, validate
+from see2act.experiment.config import composed
+from see2act.experiment.folder import alone_in, claim, refuse_foreign, set_aside
+from see2act.experiment.identity import config_hash, versions
+from see2act.experiment.preflight import check_command, check_sweep
+from see2act.experiment.single import run_checked
+from see2act.experiment.sweep import FAILED, OTHER, Summary, finished_elsewhere, link, run_job
+from tests.factory import finished_run
 
-TRAIN = Path(__file__).parents[1] / "train.py"
+TRAIN = Path(__file__).parents[2] / "train.py"
 EXPERIMENTS = TRAIN.parent / "conf" / "experiment"
 TASKS = ("none", "edge", "corner", "center", "foreground", "normal")
 
@@ -168,7 +170,7 @@ def test_refusals_name_the_mend_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError) as error:
-        _check([override])
+        check_command([override])
     text = str(error.value)
     assert "\n" not in text
     for word in words:
@@ -192,16 +194,18 @@ def test_refusals_name_the_mend_in_one_line(
 def test_what_makes_sense_is_let_through(overrides: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "vision.ckpt").touch()
-    _check(overrides)
+    check_command(overrides)
 
 
 def test_the_trainer_is_checked_where_nothing_is_learned_beforehand() -> None:
     with pytest.raises(ConfigError, match="this machine has no such trainer"):
-        _check(["task=none", "transfer=none", "+trainer.gradient_clip_algorithm=foo", "+trainer.gradient_clip_val=1.0"])
+        check_command(["task=none", "transfer=none", "+trainer.gradient_clip_algorithm=foo", "+trainer.gradient_clip_val=1.0"])
     if not torch.cuda.is_available():  # deciding and learning need it too
         with pytest.raises(ConfigError, match="this machine has no such trainer"):
-            _check(["task=none", "transfer=none", "trainer=gpu"])
-    _check(["task=none", "transfer=none", "trainer=ddp", "trainer.accelerator=cpu"])  # robots learn on one device of them
+            check_command(["task=none", "transfer=none", "trainer=gpu"])
+    check_command(
+        ["task=none", "transfer=none", "trainer=ddp", "trainer.accelerator=cpu"]
+    )  # robots learn on one device of them
 
 
 def test_robots_side_by_side_need_counts_that_they_can_make(config: Callable) -> None:
@@ -216,7 +220,7 @@ def test_robots_side_by_side_need_counts_that_they_can_make(config: Callable) ->
 @pytest.mark.parametrize("override", ["model.backbone=resnet7", "model.depth=late", "model.anchors=0"])
 def test_a_network_that_cannot_be_is_refused_before_work(override: str) -> None:
     with pytest.raises(ConfigError, match=override.replace(".", r"\.")):
-        _check(["task=coco", "model=rpn_r50_fpn", override])
+        check_command(["task=coco", "model=rpn_r50_fpn", override])
 
 
 @pytest.mark.parametrize(
@@ -232,27 +236,27 @@ def test_a_network_that_cannot_be_is_refused_before_work(override: str) -> None:
 )
 def test_a_sweep_s_misspelt_keys_and_options_are_refused_in_one_line(overrides: list[str], words: str) -> None:
     with pytest.raises(ConfigError) as error:
-        _check_sweep(overrides)
+        check_sweep(overrides)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_a_sweep_that_makes_sense_is_let_through() -> None:
-    _check_sweep(
+    check_sweep(
         ["experiment=transfer_parts", "seed=range(5,10)", "+trainer.gradient_clip_val=0.5,1.0", "hydra.launcher.n_jobs=1"]
     )
-    _check_sweep(["task=glob(*)", "transfer=glob(*)", "primitive=suction,grasp", "finetune.attempts=0,5"])
+    check_sweep(["task=glob(*)", "transfer=glob(*)", "primitive=suction,grasp", "finetune.attempts=0,5"])
 
 
-def test_damage_in_a_job_s_folder_is_named_and_ends_that_job_alone(config: Callable, tmp_path: Path) -> None:
+def test_damage_in_a_job_s_folder_is_named_and_ends_that_jobalone_in(config: Callable, tmp_path: Path) -> None:
     cfg, folder = config("seed=3"), tmp_path / "sweep" / "seed3"
     folder.mkdir(parents=True)
-    twin = tmp_path / "other" / "seed3"
-    twin.mkdir(parents=True)
-    (twin / "result.json").write_text('{"half":')  # of another experiment's sweep
-    (folder / "run.json").write_text(json.dumps(identity(cfg) | {"versions": versions()}))
+    duplicate = tmp_path / "other" / "seed3"
+    duplicate.mkdir(parents=True)
+    (duplicate / "result.json").write_text('{"half":')  # of another experiment's sweep
+    claim(folder, cfg)
     (folder / "result.json").write_text('{"half":')
-    assert _job(cfg, folder, tmp_path / "sweep") is None
+    assert run_job(cfg, folder, tmp_path / "sweep") is None
     assert f"{folder}/result.json is damaged" in (folder / FAILED).read_text()
     assert "delete it and type the same command again" in (folder / FAILED).read_text()
     (folder / "run.json").write_text("{")
@@ -263,12 +267,12 @@ def test_damage_in_a_job_s_folder_is_named_and_ends_that_job_alone(config: Calla
 
 @pytest.mark.parametrize("shared", range(5))
 def test_a_link_that_was_cut_short_is_made_anew(shared: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    twin, folder = tmp_path / "other" / "seed3", tmp_path / "sweep" / "seed3"
-    (twin / "checkpoints").mkdir(parents=True)
+    duplicate, folder = tmp_path / "other" / "seed3", tmp_path / "sweep" / "seed3"
+    (duplicate / "checkpoints").mkdir(parents=True)
     files = ("run.json", "attempts.csv", "checkpoints/last.ckpt", "checkpoints/model.safetensors")
     for name in files:
-        (twin / name).write_text(name)
-    (twin / "result.json").write_text(json.dumps({"versions": versions()}))
+        (duplicate / name).write_text(name)
+    (duplicate / "result.json").write_text(json.dumps({"versions": versions()}))
     folder.mkdir(parents=True)
     left = iter(range(shared))
 
@@ -280,19 +284,26 @@ def test_a_link_that_was_cut_short_is_made_anew(shared: int, tmp_path: Path, mon
     with monkeypatch.context() as patched:
         patched.setattr("see2act.experiment.sweep._share", cut)
         with pytest.raises(KeyboardInterrupt):
-            link(twin, folder)
+            link(duplicate, folder)
     if not (folder / "result.json").exists():  # else it counts as finished
-        assert finished_elsewhere(folder, tmp_path / "sweep") == twin
-    link(twin, folder)
+        assert finished_elsewhere(folder, tmp_path / "sweep") == duplicate
+    link(duplicate, folder)
     assert [(folder / name).read_text() for name in files] == list(files)
-    assert (folder / "result.json").samefile(twin / "result.json")
+    assert (folder / "result.json").samefile(duplicate / "result.json")
+
+
+def _claimed_yesterday(folder: Path, cfg: DictConfig) -> None:
+    claim(folder, cfg)
+    known = json.loads((folder / "run.json").read_text())
+    known["versions"]["code"] = "of yesterday"
+    (folder / "run.json").write_text(json.dumps(known))
 
 
 def test_half_a_run_of_another_version_is_named_and_left(config: Callable, tmp_path: Path) -> None:
     cfg, folder = config("seed=3"), tmp_path / "sweep" / "seed3"
     folder.mkdir(parents=True)
-    (folder / "run.json").write_text(json.dumps(identity(cfg) | {"versions": {**versions(), "code": "of yesterday"}}))
-    assert _job(cfg, folder, tmp_path / "sweep") is None
+    _claimed_yesterday(folder, cfg)
+    assert run_job(cfg, folder, tmp_path / "sweep") is None
     assert (folder / OTHER).read_text() == "begun, and not finished"
     assert not (folder / FAILED).exists()
 
@@ -308,7 +319,7 @@ def test_a_sweep_of_which_no_job_ran_says_so(
         (folder / ".hydra").mkdir(parents=True)
         (folder / ".hydra" / "config.yaml").touch()
         cfg = config("task=edge", f"seed={seed}", "cells=[suction/normal/full]")
-        assert _job(cfg, folder, tmp_path) is None
+        assert run_job(cfg, folder, tmp_path) is None
     with caplog.at_level("INFO"):
         summary.on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
     assert "1 cells were left out, since the experiment does not name them: cells=[]" in caplog.text
@@ -320,7 +331,7 @@ def test_a_sweep_of_which_no_job_ran_says_so(
 def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match=r"cannot be written.*hydra\.run\.dir="):
-        _check([f"hydra.run.dir={tmp_path}/file/run"])
+        check_command([f"hydra.run.dir={tmp_path}/file/run"])
 
 
 def test_a_refusal_ends_the_program_without_work(tmp_path: Path) -> None:
@@ -334,7 +345,7 @@ def test_a_refusal_ends_the_program_without_work(tmp_path: Path) -> None:
 def test_a_folder_of_another_run_is_refused(config: Callable, tmp_path: Path) -> None:
     cfg = config("seed=1")
     refuse_foreign(tmp_path, cfg)
-    (tmp_path / "run.json").write_text(json.dumps(identity(cfg) | {"versions": versions()}))
+    claim(tmp_path, cfg)
     refuse_foreign(tmp_path, cfg)
     for other in (("seed=2",), ("seed=1", "task=normal")):
         with pytest.raises(ConfigError, match=r"holds a run of another configuration.*hydra\.run\.dir="):
@@ -347,9 +358,9 @@ def test_a_folder_of_another_run_is_refused(config: Callable, tmp_path: Path) ->
 
 def test_a_run_that_a_report_kept_is_known_by_its_result(config: Callable, tmp_path: Path) -> None:
     cfg = config("seed=1")
-    kept = {"config_hash": identity(cfg)["config_hash"], "choices": {"seed": 1}, "versions": versions()}
-    (tmp_path / "result.json").write_text(json.dumps(kept | {"eval": {"unseen": {"rate": 0.25}}}))
-    assert run(cfg, tmp_path) == 0.25
+    kept = finished_run(config_hash=config_hash(cfg), seed=1, versions=versions(), unseen=[(1, 4)])
+    (tmp_path / "result.json").write_text(kept.model_dump_json())
+    assert run_checked(cfg, tmp_path) == 0.25
     with pytest.raises(ConfigError, match="another configuration"):
         refuse_foreign(tmp_path, config("seed=2"))
 
@@ -358,11 +369,11 @@ def test_a_run_that_is_made_anew_has_the_folder_to_itself(config: Callable, tmp_
     folder = tmp_path / "seed1"
     (folder / ".hydra").mkdir(parents=True)
     (folder / "result.json").write_text("{}")
-    with _alone(folder):
-        _set_aside(folder)
-    with _alone(folder):
+    with alone_in(folder):
+        set_aside(folder)
+    with alone_in(folder):
         assert not (folder / "result.json").exists()
-        with pytest.raises(ConfigError, match="another process is at work"), _alone(folder):
+        with pytest.raises(ConfigError, match="another process is at work"), alone_in(folder):
             pass
 
 
@@ -371,25 +382,28 @@ def test_force_keeps_the_earlier_run(tmp_path: Path) -> None:
     (folder / ".hydra").mkdir(parents=True)
     (folder / "figures").mkdir()
     (folder / "result.json").write_text("{}")
-    _move_aside(folder, tmp_path / "seed0.before")
+    set_aside(folder)
     assert [item.name for item in folder.iterdir()] == [".hydra"]
-    assert {item.name for item in (tmp_path / "seed0.before").iterdir()} == {".hydra", "figures", "result.json"}
+    (earlier,) = tmp_path.glob("seed0.*")
+    assert {item.name for item in earlier.iterdir()} == {".hydra", "figures", "result.json"}
 
 
 def test_force_begins_a_log_anew(tmp_path: Path) -> None:
     folder = tmp_path / "seed0"
     (folder / ".hydra").mkdir(parents=True)
+    (folder / "result.json").write_text("{}")
     handler = logging.FileHandler(folder / "train.log")  # as Hydra has opened it
     logging.getLogger().addHandler(handler)
     try:
         logging.getLogger("see2act").warning("before")
-        _move_aside(folder, tmp_path / "seed0.before")
+        set_aside(folder)
         logging.getLogger("see2act").warning("after")
     finally:
         logging.getLogger().removeHandler(handler)
         handler.close()
     assert (folder / "train.log").read_text() == "after\n"
-    assert (tmp_path / "seed0.before" / "train.log").read_text() == "before\n"
+    (earlier,) = tmp_path.glob("seed0.*/train.log")
+    assert earlier.read_text().startswith("before\n")
 
 
 def test_help_does_not_wait_for_torch() -> None:
@@ -471,10 +485,9 @@ def test_off_the_shelf_gives_each_primitive_its_real_workspace(config: Callable[
 
 def test_half_a_run_of_another_version_is_not_continued(tmp_path: Path) -> None:
     cfg = composed(["seed=3"])
-    begun = identity(cfg) | {"versions": versions()}
-    (tmp_path / "run.json").write_text(json.dumps(begun))
+    claim(tmp_path, cfg)
     refuse_foreign(tmp_path, cfg)
-    (tmp_path / "run.json").write_text(json.dumps(begun | {"versions": {**versions(), "code": "of yesterday"}}))
+    _claimed_yesterday(tmp_path, cfg)
     with pytest.raises(ConfigError, match="force=true moves it aside"):
         refuse_foreign(tmp_path, cfg)
     refuse_foreign(tmp_path, composed(["seed=3", "force=true"]))

@@ -1,22 +1,23 @@
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import matplotlib.pyplot as plt
 import pytest
+
 from see2act.experiment import figures
-from see2act.experiment.attempts_csv import COLUMNS
+from see2act.experiment.attempts import AttemptRow
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.types import Pick
+from tests.factory import attempt_row
 
 
-def _row(step: int, score: float, success: int, **more: object) -> dict[str, str]:
-    row = {"phase": "finetune", "step": step, "score": score, "success": success, "cause": "ok" if success else "missed"}
-    return {key: str(value) for key, value in (row | more).items()}
+def _row(step: int, score: float, success: int, **more: Any) -> AttemptRow:
+    return attempt_row(step=step, score=score, success=bool(success), cause="ok" if success else "missed", **more)
 
 
 def test_reliability_counts_by_tenths_of_the_prediction() -> None:
@@ -35,27 +36,23 @@ def test_repeats_are_within_an_episode_and_after() -> None:
 
 
 def test_calibration_is_that_of_one_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with (tmp_path / "attempts.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="0")
-        writer.writeheader()
-        for phase, step, policy in (("zero_shot", 0, "suppress"), ("eval", 5, "suppress"), ("eval", 5, "argmax")):
-            writer.writerows(_row(step, 0.5, 1, phase=phase, policy=policy) for _ in range(7))
-        writer.writerows(_row(i + 1, 0.5, 0, policy="suppress") for i in range(5))
+    rows = [
+        _row(step, 0.5, 1, phase=phase, policy=policy)
+        for phase, step, policy in (("zero_shot", 0, "suppress"), ("eval", 5, "suppress"), ("eval", 5, "argmax"))
+        for _ in range(7)
+    ]
+    rows += [_row(i + 1, 0.5, 0) for i in range(5)]
     counted: list[int] = []
     monkeypatch.setattr(figures, "_reliability", lambda rows: counted.append(len(rows)) or [])
-    figures.diagnosis(tmp_path / "attempts.csv", tmp_path / "diagnosis.png", "a run")
+    figures.diagnosis(rows, tmp_path / "diagnosis.png", "a run")
     assert counted == [7, 5, 7]
 
 
 @pytest.mark.parametrize("learned", [0, 45])
 def test_learning_is_diagnosed_also_where_all_attempts_end_alike(tmp_path: Path, learned: int) -> None:
-    with (tmp_path / "attempts.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="0")
-        writer.writeheader()
-        for step, phase in ((0, "zero_shot"), (learned, "eval")):
-            writer.writerows(_row(step, 0.07 * i, 1, phase=phase) for i in range(15))
-        writer.writerows(_row(i + 1, 0.02 * i, 0, episode=i // 10) for i in range(learned))
-    figures.diagnosis(tmp_path / "attempts.csv", tmp_path / "diagnosis.png", "a run")
+    rows = [_row(step, 0.07 * i, 1, phase=phase) for step, phase in ((0, "zero_shot"), (learned, "eval")) for i in range(15)]
+    rows += [_row(i + 1, 0.02 * i, 0, episode=i // 10) for i in range(learned)]
+    figures.diagnosis(rows, tmp_path / "diagnosis.png", "a run")
     assert (tmp_path / "diagnosis.png").stat().st_size > 10_000
 
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from see2act.modules.rotation import Rotations, sampling_grid, warp_nearest
 
 GRASP = Rotations((144, 144), 16, 4, reach=48)

@@ -20,8 +20,8 @@ from torch import nn
 
 import see2act
 from see2act.commands.predict import _read, main
-from see2act.experiment import trained
-from see2act.experiment.trained import ModelFileError, TrainedModel
+from see2act.experiment import model_file as model_files
+from see2act.experiment.model_file import ModelFileError, TrainedModel
 from see2act.modules.network import PixelNetwork
 from see2act.prediction.picture import _direction_in_image
 from see2act.prediction.view import HALF, ImageError, _workspace, floor_pose
@@ -203,15 +203,15 @@ def model_file(config: Callable[..., DictConfig], tmp_path_factory: pytest.TempP
     def make(primitive: str) -> Path:
         cfg = config(f"primitive={primitive}", "model.width=4", "precision=fp32")
         torch.manual_seed(0)
-        path = tmp_path_factory.mktemp("model") / trained.FILE
-        trained.save(path, instantiate(cfg.model.network), cfg)
+        path = tmp_path_factory.mktemp("model") / model_files.FILE
+        model_files.save(path, instantiate(cfg.model.network), cfg)
         return path
 
     return make
 
 
 def test_a_file_gives_back_what_learned(model_file: Callable[[str], Path], seen: Observation, config: Callable) -> None:
-    model = trained.load(model_file("grasp"), "grasp")
+    model = model_files.load(model_file("grasp"), "grasp")
     model.network.set_precision("fp32")
     cfg = config("primitive=grasp", "model.width=4")
     torch.manual_seed(0)
@@ -229,7 +229,7 @@ def test_bounds_of_whole_pixels_are_kept() -> None:
 
 
 def test_a_grasp_s_angle_is_that_of_its_best_map(model_file: Callable[[str], Path], image: dict, robot: SimulatedRobot) -> None:
-    model = trained.load(model_file("grasp"))
+    model = model_files.load(model_file("grasp"))
     best = see2act.predict(**image, checkpoint=model, pose=robot.camera.pose, bounds=BOUNDS, count=1)
     logits = model.affordances(best.heightmap.color, best.heightmap.height)
     pick = best.picks[0]
@@ -412,22 +412,22 @@ def test_a_file_cannot_have_anything_called_but_a_network(
     model_file: Callable[[str], Path], tmp_path: Path, key: str, value: Any, words: str
 ) -> None:
     path = model_file("suction")
-    metadata = dict(trained._metadata(path))
-    config = OmegaConf.create(json.loads(metadata[trained.CONFIG]))
+    metadata = dict(model_files._metadata(path))
+    config = OmegaConf.create(json.loads(metadata[model_files.CONFIG]))
     OmegaConf.update(config, key, value)
-    metadata[trained.CONFIG] = json.dumps(OmegaConf.to_container(config))
+    metadata[model_files.CONFIG] = json.dumps(OmegaConf.to_container(config))
     save_file(load_file(path), tmp_path / "bad.safetensors", metadata)
     with pytest.raises(ModelFileError, match=words) as told:
-        trained.load(tmp_path / "bad.safetensors")
+        model_files.load(tmp_path / "bad.safetensors")
     assert "\n" not in str(told.value)
-    del metadata[trained.HASH]
-    metadata[trained.CONFIG] = trained._metadata(path)[trained.CONFIG]
+    del metadata[model_files.HASH]
+    metadata[model_files.CONFIG] = model_files._metadata(path)[model_files.CONFIG]
     save_file(load_file(path), tmp_path / "bad.safetensors", metadata)
     with pytest.raises(ModelFileError, match="holds no model of this version"):
-        trained.load(tmp_path / "bad.safetensors")
+        model_files.load(tmp_path / "bad.safetensors")
 
 
 def test_weights_without_their_configuration_are_refused(tmp_path: Path) -> None:
     save_file({"weight": torch.zeros(1)}, tmp_path / "bare.safetensors")
     with pytest.raises(ModelFileError, match="says nothing of its configuration"):
-        trained.load(tmp_path / "bare.safetensors")
+        model_files.load(tmp_path / "bare.safetensors")

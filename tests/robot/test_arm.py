@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from hydra.utils import instantiate
+from ur_analytic_ik import ur5
+
 from see2act.robot import urdf
 from see2act.robot.arm import Arm, pointing_down
 from see2act.robot.simulation import Simulation
-from ur_analytic_ik import ur5
 
 LIMIT = 2.8
 """Rad; the joints' limits are at pi, and a solution near them would mean a wrist that must turn back half-way."""

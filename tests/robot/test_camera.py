@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from see2act.robot import heightmap as hm
 from see2act.robot.camera import DepthNoise
 from see2act.robot.oracle import ExactHeights

@@ -7,8 +7,7 @@ import pytest
 from omegaconf import DictConfig
 
 from see2act.errors import ConfigError
-from see2act.experiment.build import check_parts
-from see2act.experiment.checks import validate
+from see2act.experiment.checks import check_parts, validate
 from see2act.robot.floors import MATERIALS, floor_picture
 from see2act.robot.objects import shape
 from see2act.robot.robot import SimulatedRobot

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from see2act.robot import heightmap as hm
 from see2act.robot.types import RobotError
 from see2act.robot.workspace import Workspace

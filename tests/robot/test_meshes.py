@@ -13,6 +13,7 @@ import trimesh
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig
+
 from see2act.robot.meshes import LARGEST, MeshSet, mesh_shape
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.solids import box

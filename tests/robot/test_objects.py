@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 from hydra.utils import instantiate
+
 from see2act.datamodules.labels import plane_fit
-from see2act.experiment import results
+from see2act.experiment import identity
 from see2act.robot import objects
 from see2act.robot.household import HOUSEHOLD
 from see2act.robot.objects import CATALOGUE, GRIPPER_OPENING, ObjectSet, shape
@@ -144,5 +145,5 @@ def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatc
     for distribution in ("no-such-package", "numpy"):
         with pytest.raises(RobotError, match=f"not in an installed package {distribution}: run `make install`"):
             package_file(distribution, "*/ur5.urdf")
-    monkeypatch.setattr(results, "PACKAGES", ("numpy", "no-such-package"))
-    assert results.packages() == {"python": "3.11", "numpy": np.__version__, "no-such-package": "none"}
+    monkeypatch.setattr(identity, "PACKAGES", ("numpy", "no-such-package"))
+    assert identity.packages() == {"python": "3.11", "numpy": np.__version__, "no-such-package": "none"}

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+
 from see2act.attempt import attempt
 from see2act.policy import Policy
 from see2act.robot.end_effector import EndEffector

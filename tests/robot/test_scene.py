@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.scene import AT_REST
 

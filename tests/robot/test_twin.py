@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from hydra.utils import instantiate
+
 from see2act.robot import heightmap as hm
 from see2act.robot.household import HOUSEHOLD
 from see2act.robot.objects import ObjectSet, shape

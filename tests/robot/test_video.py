@@ -8,6 +8,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
 from see2act.robot.types import Outcome

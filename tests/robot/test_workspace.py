@@ -1,6 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from see2act.robot.types import RobotError
 from see2act.robot.workspace import Workspace
 

@@ -21,7 +21,7 @@ from safetensors.torch import save as serialized
 from torch import Tensor
 
 from see2act.errors import UserError
-from see2act.experiment.config import config_hash, relevant_robot
+from see2act.experiment.identity import config_hash, deciding_robot
 from see2act.files import replacing
 from see2act.modules.affordance import affordances
 from see2act.modules.network import PixelNetwork
@@ -69,7 +69,7 @@ def save(path: Path, network: PixelNetwork, cfg: DictConfig) -> None:
     config = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in ("hydra", "logger")])
     plain: Any = OmegaConf.to_container(config, resolve=True)
     plain = {key: value for key, value in plain.items() if key not in WITHOUT}
-    plain["robot"] = relevant_robot(cfg)
+    plain["robot"] = deciding_robot(cfg)
     metadata = {CONFIG: json.dumps(plain), HASH: config_hash(cfg)}
     state = {name: value.cpu().contiguous() for name, value in network.state_dict().items()}
     with replacing(path) as partial:

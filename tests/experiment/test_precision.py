@@ -9,6 +9,7 @@ from pathlib import Path
 from time import process_time
 
 import pytest
+
 from see2act.experiment import processor
 
 

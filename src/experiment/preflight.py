@@ -1,0 +1,71 @@
+"""Refuse a command line that cannot run, before Hydra makes a folder for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Glob
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from see2act.errors import ConfigError
+from see2act.experiment.checks import check_keys, check_run, validate
+from see2act.experiment.config import Config, composed_as_typed, one_line
+from see2act.experiment.folder import refuse_foreign
+from see2act.files import writable
+
+
+def check_command(overrides: list[str]) -> None:
+    """Compose the configuration as Hydra will, and refuse what cannot run before a folder is made.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    if experiment := next((o.split("=")[1] for o in overrides if o.lstrip("+").startswith("experiment=")), None):
+        raise ConfigError(
+            f"experiment={experiment} is a sweep: add -m, and primitive=, task=, transfer= and seed= if you want one run of it"
+        )
+    cfg = composed_as_typed(overrides, return_hydra_config=True)
+    plain = composed_as_typed(overrides)
+    try:
+        OmegaConf.resolve(cfg.hydra.run)
+        folder = Path(cfg.hydra.run.dir)
+        validate(plain)
+    except OmegaConfBaseException as error:
+        raise ConfigError(one_line(error)) from None
+    check_run(plain)
+    _check_writable(folder)
+    _check_writable(Path(plain.paths.cache))
+    refuse_foreign(folder, plain)
+
+
+def check_sweep(overrides: list[str]) -> None:
+    """Refuse keys and options that do not exist, in one line; what a job cannot run with, that job says.
+
+    Raises:
+        ConfigError: With one line.
+    """
+    try:
+        parsed = OverridesParser.create().parse_overrides(overrides)
+    except HydraException as error:
+        raise ConfigError(one_line(error)) from None
+    first, others = [], []
+    for override in parsed:
+        if not override.is_sweep_override():
+            first.append(str(override.input_line))
+        elif not isinstance(override.value(), Glob):  # which takes what there is
+            value, *more = (f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator())
+            first.append(value)
+            others += more if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
+    cfg = composed_as_typed(first)
+    check_keys(cfg)
+    for option in others:
+        if OmegaConf.is_config(cfg[option.split("=")[0]]):
+            composed_as_typed([*first, option])
+
+
+def _check_writable(folder: Path) -> None:
+    if not writable(folder):
+        raise ConfigError(f"{folder} cannot be written: choose another with hydra.run.dir= or paths.cache=")

@@ -1,0 +1,140 @@
+"""One run: its stages in order. What is finished is not repeated when an interrupted run continues."""
+
+from __future__ import annotations
+
+import copy
+import logging
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+from omegaconf import DictConfig
+
+from see2act.datamodules.collect import Collection
+from see2act.experiment import attempts, build, figures, model_file
+from see2act.experiment.context import RunContext
+from see2act.experiment.dashboard import Dashboard
+from see2act.experiment.identity import CHOICES, commit, config_hash, versions
+from see2act.experiment.results import RunResult, StepEvaluation, VisionQuality, curve, write_result
+from see2act.experiment.stages.collect import collected, held_out
+from see2act.experiment.stages.evaluate import evaluate_argmax
+from see2act.experiment.stages.finetune import finetune
+from see2act.experiment.stages.pretrain import QUALITY, VisionCheckpoint, vision_model
+from see2act.experiment.stages.transfer import affordance_model
+from see2act.files import replacing, write_json
+from see2act.modules.affordance import AffordanceModule
+from see2act.modules.transfer import copy_parts
+
+log = logging.getLogger("see2act")
+
+
+def run(cfg: DictConfig, folder: Path) -> RunResult:
+    """Collect, pre-train, transfer, fine-tune, evaluate.
+
+    Args:
+        cfg: A validated configuration.
+        folder: Where everything goes. An unfinished run of the same configuration in it is continued.
+    """
+    context = RunContext(cfg, folder)
+    context.dashboard = Dashboard.of(cfg, folder, context.title)
+    try:
+        return _stages(context)
+    finally:
+        context.dashboard.close()
+
+
+def _stages(context: RunContext) -> RunResult:
+    cfg, progress = context.cfg, context.progress
+
+    def make_trainer(**more: Any) -> L.Trainer:
+        return build.trainer(cfg, context.folder, context.dashboard.logger, **more)
+
+    with progress.timed("collect"):
+        collection = collected(cfg)
+    with progress.timed("pretrain"):
+        vision = vision_model(cfg, collection, make_trainer)
+        _keep_vision_model(context, vision)
+    with progress.timed("figures"):
+        _draw_seeing(context, collection, vision)
+    with progress.timed("transfer"):
+        module, report = affordance_model(cfg, collection, vision)
+        write_json(context.folder / "transfer.json", report.as_dict())
+        log.info(report.summary())
+    del collection  # it may be a gigabyte, and what follows takes long
+    before = copy.deepcopy(module)
+    with progress.timed("finetune"):
+        finetune(context, module, make_trainer)
+        model_file.save(context.checkpoints / model_file.FILE, module.acting, cfg)
+    evaluate_argmax(context, module)
+    with progress.timed("figures"):
+        _draw_acting(context, vision, before, module)
+    context.dashboard.show(context.folder)
+    return _finish(context)
+
+
+def _keep_vision_model(context: RunContext, vision: VisionCheckpoint | None) -> None:
+    if vision is None:
+        return
+    if set(QUALITY) <= set(vision):
+        context.progress.vision = VisionQuality(**{key: vision[key] for key in QUALITY})
+        context.progress.save()
+    with replacing(context.checkpoints / "vision.ckpt") as partial:
+        torch.save(vision, partial)
+
+
+def _draw_seeing(context: RunContext, collection: Collection, vision: VisionCheckpoint | None) -> None:
+    """Labels, and what the vision model makes of other scenes: there to be looked at while the robot learns."""
+    cfg, out, count = context.cfg, context.figures, context.cfg.figures.scenes
+    if cfg.task.label is not None:
+        figures.labels(collection, build.task(cfg), cfg.labels, cfg.task.name, count, out / "labels.png")
+    if quality := context.progress.vision:
+        assert vision is not None
+        network = build.network(cfg, 0)
+        network.load_state_dict(vision["network"])
+        title = f"{cfg.task.name}, average precision {quality.average_precision:.2f} on held-out scenes"
+        figures.vision(held_out(cfg), build.task(cfg), cfg.labels, network, count, title, out / "vision.png")
+
+
+def _draw_acting(
+    context: RunContext, vision: VisionCheckpoint | None, before: AffordanceModule, module: AffordanceModule
+) -> None:
+    """How learning went, and what the models make of test scenes."""
+    cfg, out, rows = context.cfg, context.figures, attempts.read(context.log.path)
+    figures.learning_curve(rows, out / "learning_curve.png", context.title)
+    figures.diagnosis(rows, out / "diagnosis.png", context.title)
+    models = {"before fine-tuning": before, "after fine-tuning": module}
+    if vision:
+        seeing = copy.deepcopy(before)
+        copy_parts(vision["network"], seeing.network, cfg.task.parts, cfg.task.optional, cfg.task.zero)
+        models = {f"vision model: {cfg.task.name}": seeing, **models}
+    robot = build.robot_factory(cfg, cfg.primitive)()
+    try:
+        figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, context.title, out, cfg.evaluate.scenes)
+    finally:
+        robot.close()
+
+
+def _finish(context: RunContext) -> RunResult:
+    cfg, progress = context.cfg, context.progress
+    last, seconds = progress.evaluations[context.attempts], progress.seconds
+    assert progress.argmax is not None
+    choices = {key: cfg[key].name for key in CHOICES}
+    choices |= {"labels": cfg.labels, "seed": cfg.seed, "precision": cfg.precision, "motion": cfg.robot.get("motion")}
+    result = RunResult(
+        choices=choices,
+        config_hash=config_hash(cfg),
+        versions=versions(),
+        commit=commit(),
+        seconds=seconds,
+        evaluation_share=round(seconds.get("evaluate", 0.0) / max(sum(seconds.values()), 0.1), 3),
+        vision=progress.vision,
+        zero_shot=progress.evaluations[0],
+        eval=last if context.attempts else last.model_copy(update={"repeated": True}),
+        eval_argmax=progress.argmax,
+        evals=tuple(StepEvaluation(step=step, **dict(evaluation)) for step, evaluation in sorted(progress.evaluations.items())),
+        curve=curve(attempts.read(context.log.path)),
+    )
+    write_result(context.folder / "result.json", result)
+    (context.folder / "progress.json").unlink()
+    return result

@@ -1,0 +1,91 @@
+"""One run by itself or in a sweep: checked, skipped if it is finished, continued if it was interrupted."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from see2act.experiment.checks import check_run, validate
+from see2act.experiment.folder import alone_in, claim, of_this_version, refuse_foreign, set_aside
+from see2act.experiment.results import PHASES, SPLITS, RunResult, read_result, wilson
+
+log = logging.getLogger("see2act")
+
+
+def run_checked(cfg: DictConfig, folder: Path) -> float:
+    """One run in ``folder``; with ``force=true`` a finished one is moved aside first.
+
+    Returns:
+        The final success rate on unseen objects.
+
+    Raises:
+        UserError: The configuration cannot run, the folder holds another run, another process works in it, or given weights
+            do not fit.
+    """
+    validate(cfg)
+    check_run(cfg)
+    refuse_foreign(folder, cfg)
+    if cfg.force:
+        with alone_in(folder):
+            set_aside(folder)
+    with alone_in(folder):  # a lock of the folder's own: one that was set aside has taken its lock along
+        result = _finished(cfg, folder) or _run(cfg, folder)
+    return result.eval.unseen.rate
+
+
+def _finished(cfg: DictConfig, folder: Path) -> RunResult | None:
+    path = folder / "result.json"
+    if not path.exists():
+        return None
+    by = "" if of_this_version(path) else " by another version of the code"
+    log.info("this run is finished already%s; force=true runs it again: %s", by, path)
+    if cfg.robot.get("video") and not (folder / "video.mp4").exists():
+        log.info("it was not filmed; force=true runs it again with a film")
+    return read_result(path)
+
+
+def _run(cfg: DictConfig, folder: Path) -> RunResult:
+    # Imported late: torch and lightning take seconds, which --help should not.
+    import torch
+
+    from see2act.experiment.quiet import quiet
+    from see2act.experiment.run import run
+    from see2act.experiment.stages.transfer import check_weights
+
+    quiet()
+    torch.set_num_threads(cfg.threads)
+    # As Ctrl-C does. Lightning would wait for the next learning step, which an evaluation keeps waiting.
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    check_weights(cfg)
+    claim(folder, cfg)  # only now: a refused run must not keep the folder to itself
+    result = run(cfg, folder)
+    _print(result, folder)
+    return result
+
+
+def _print(result: RunResult, folder: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    words = [str(result.choices[key]) for key in ("primitive", "task", "transfer")]
+    table = Table(title=f"{' '.join(words)} seed {result.seed}")
+    for column in ("success rate", *(f"{split} objects" for split in SPLITS)):
+        table.add_column(column)
+    names = ("zero-shot", "after fine-tuning", "the same, plain argmax")
+    for name, phase in zip(names, PHASES, strict=True):
+        cells = []
+        for split in SPLITS:
+            counts = result.phase(phase)[split]
+            low, high = wilson(counts.successes, counts.attempts)
+            cells.append(f"{counts.rate:.2f}  ({counts.successes}/{counts.attempts}, 95 % {low:.2f}-{high:.2f})")
+        table.add_row(name, *cells)
+    console = Console(width=110)
+    console.print(table)
+    console.print(f"minutes: {sum(result.seconds.values()) / 60:.1f}", highlight=False)
+    for name in ("result.json", "attempts.csv", "transfer.json", "figures", "checkpoints"):
+        console.print(f"  {folder / name}", highlight=False, soft_wrap=True)
