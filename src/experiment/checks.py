@@ -5,14 +5,17 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from dataclasses import is_dataclass
+import sys
+from functools import cache
 from pathlib import Path
-from typing import Any, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from hydra.errors import HydraException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from pydantic import ConfigDict, PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
 from see2act.errors import ConfigError
 from see2act.experiment.config import Config, one_line
@@ -20,10 +23,30 @@ from see2act.experiment.identity import CHOICES, WORD
 from see2act.robot.types import RobotError
 
 
-def check_arguments(node: Any, path: str) -> None:
-    """Refuse values of the wrong type, and names that do not exist, for whatever a configuration node builds.
+def check_schema(cfg: DictConfig) -> None:
+    """Refuse keys that do not exist and values out of their range, by the schema's own annotations.
 
-    Schemas of their own would repeat the signatures; so the signature of each ``_target_`` is the schema.
+    Raises:
+        ConfigError: With the first key that is wrong.
+    """
+    plain = OmegaConf.to_container(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]), resolve=True)
+    try:
+        TypeAdapter(Config).validate_python(plain)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        *path, last = problem["loc"]
+        if problem["type"] == "unexpected_keyword_argument":
+            group = OmegaConf.select(cfg, ".".join(map(str, path))) if path else cfg
+            known = [str(key) for key in group if key != last]
+            where = f" of {'.'.join(map(str, path))}" if path else ""
+            raise ConfigError(
+                f"there is no configuration key '{'.'.join(map(str, problem['loc']))}': the keys{where} are {', '.join(known)}"
+            ) from None
+        raise ConfigError(f"{'.'.join(map(str, problem['loc']))}={problem['input']}: {_words(problem['msg'])}") from None
+
+
+def check_arguments(node: Any, path: str) -> None:
+    """The same for whatever a configuration node builds: the signature of each ``_target_`` is its schema.
 
     Raises:
         ConfigError: With the key, the value and what is expected.
@@ -34,44 +57,51 @@ def check_arguments(node: Any, path: str) -> None:
         check_arguments(node[key], f"{path}.{key}")
     if "_target_" not in node:
         return
-    parameters = inspect.signature(get_object(node._target_)).parameters
+    target = get_object(node._target_)
+    parameters = inspect.signature(target).parameters
     open_ended = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
-    for name in map(str, node):
-        value: Any = node[name]
-        if name.startswith("_"):
-            continue
+    for name in (str(name) for name in node if not str(name).startswith("_")):
         if name not in parameters:
             if open_ended:
                 continue
             raise ConfigError(f"{path} has no parameter '{name}': it takes {', '.join(parameters)}")
-        annotation = parameters[name].annotation
-        kind = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
-        expected = SIMPLE.get(kind)
-        if expected and (not isinstance(value, expected) or (isinstance(value, bool) and bool not in expected)):
-            raise ConfigError(f"{path}.{name}={value} has the wrong type: it must be {kind}")
+        value: Any = OmegaConf.to_container(node)[name] if OmegaConf.is_config(node[name]) else node[name]  # type: ignore[call-overload, index]
+        adapter = _adapter(target, name)
+        if adapter is None or OmegaConf.is_dict(node[name]):
+            continue
+        try:
+            adapter.validate_python(value)
+        except ValidationError as error:
+            raise ConfigError(f"{path}.{name}={value}: {_words(error.errors()[0]['msg'])}") from None
 
 
-SIMPLE: dict[str, tuple[type, ...]] = {"int": (int,), "float": (float, int), "bool": (bool,), "str": (str,)}
+@cache
+def _adapter(target: Any, name: str) -> TypeAdapter[Any] | None:
+    """Validates one argument of a class or function; None where its annotation says nothing that can be checked here."""
+    function = target.__init__ if inspect.isclass(target) and "__init__" in vars(target) else target
+    annotation = inspect.signature(target).parameters[name].annotation
+    names = vars(sys.modules[function.__module__])
+    try:
+        kind = eval(annotation, names) if isinstance(annotation, str) else annotation
+        if not _is_plain(kind):
+            return None
+        return TypeAdapter(kind, config=ConfigDict(strict=True))
+    except (NameError, TypeError, PydanticSchemaGenerationError):
+        return None
 
 
-def check_keys(cfg: DictConfig, schema: type = Config, path: str = "") -> None:
-    """Refuse keys that nothing reads, which ``+key=value`` lets in.
+def _is_plain(kind: Any) -> bool:
+    """Whether a type is made of numbers, words and optional ones of these."""
+    if get_origin(kind) is Annotated:
+        return _is_plain(get_args(kind)[0])
+    if get_origin(kind) in (Union, UnionType):
+        return all(part is NoneType or _is_plain(part) for part in get_args(kind))
+    return kind in (int, float, bool, str)
 
-    Args:
-        cfg: A configuration, or a part of it.
-        schema: The dataclass that it must be.
-        path: Of the part, with a dot at its end.
 
-    Raises:
-        ConfigError: With the keys that there are.
-    """
-    known = get_type_hints(schema)
-    for key in map(str, cfg):
-        if key not in known:
-            where = f" of {path[:-1]}" if path else ""
-            raise ConfigError(f"there is no configuration key '{path}{key}': the keys{where} are {', '.join(known)}")
-        if is_dataclass(known[key]):
-            check_keys(cfg[key], known[key], f"{path}{key}.")
+def _words(message: str) -> str:
+    message = message.removeprefix("Value error, ").replace("Input should", "it must")
+    return message.replace("greater than or equal to", "at least").replace("greater than", "above")
 
 
 def illegal_cell(cfg: DictConfig) -> str | None:
@@ -92,22 +122,6 @@ def illegal_cell(cfg: DictConfig) -> str | None:
     return None
 
 
-COUNTS = (
-    "threads",
-    *(f"collect.{key}" for key in ("interactions", "per_scene", "workers")),
-    *(f"pretrain.{key}" for key in ("epochs", "batch_size", "test_scenes")),
-    *(f"finetune.{key}" for key in ("robots", "updates", "batch_size", "episode_attempts")),
-    *("evaluate.runs", "primitive.angles", "figures.scenes"),
-)
-"""Keys that must be at least 1."""
-NOT_NEGATIVE = (
-    *("pretrain.lr", "pretrain.weight_decay"),
-    *(f"finetune.{key}" for key in ("attempts", "backbone_lr", "head_lr", "weight_decay", "temperature")),
-    *(f"finetune.replay.{key}" for key in ("alpha", "beta", "rotation", "color_jitter")),
-)
-"""Keys that must be at least 0."""
-PHYSICAL = ("primitive.end_effector", "collect.primitive.end_effector", "robot", "camera")
-"""Where see2act's own classes have numbers that are lengths, times, forces and the like; lists are positions."""
 LOOPS = "use pretrain.epochs and finetune.attempts"
 OVERRULED = {
     "precision": "use precision=bf16 or precision=fp32",
@@ -126,57 +140,31 @@ def validate(cfg: DictConfig) -> None:
     Raises:
         ConfigError: With one line that names the mend.
     """
-    check_keys(cfg)
+    check_schema(cfg)
     if reason := illegal_cell(cfg):
         raise ConfigError(reason)
-    _check_words(cfg)
-    _check_numbers(cfg)
-    for path in PHYSICAL:
-        _check_physical(OmegaConf.select(cfg, path), path)
+    _check_trainer_keys(cfg)
+    _check_names(cfg)
+    _check_robots(cfg)
     _check_model(cfg)
     _check_footprint(cfg)
     _check_lengths(cfg)
     _check_vision(cfg)
 
 
-def _check_words(cfg: DictConfig) -> None:
-    _choice("labels", cfg.labels, ("truth", "vision"))
-    _choice("precision", cfg.precision, ("bf16", "fp32"))
-    for key, mend in OVERRULED.items():
+def _check_trainer_keys(cfg: DictConfig) -> None:
+    for key, fix in OVERRULED.items():
         value = cfg.trainer.get(key)
         if value is not None and value is not False and value != -1:  # Lightning's own words for none
-            raise ConfigError(f"trainer.{key} has no place here: {mend}")
+            raise ConfigError(f"trainer.{key} has no place here: {fix}")
+
+
+def _check_names(cfg: DictConfig) -> None:
+    """Names of choices become parts of paths."""
     for group in CHOICES:
         name = OmegaConf.select(cfg, f"{group}.name")
         if not re.fullmatch(WORD, str(name or "")):
             raise ConfigError(f"{group}.name={name} is no word: use letters, digits and _")
-    for cell in cfg.cells:
-        if not re.fullmatch(f"{WORD}/{WORD}/{WORD}", cell):
-            raise ConfigError(f"cells has '{cell}': each must be primitive/task/transfer, as suction/edge/full")
-    _choice("finetune.batchnorm", cfg.finetune.batchnorm, ("frozen", "batch"))
-    _choice("evaluate.scenes", cfg.evaluate.scenes, ("evaluate", "develop"))
-    _choice("task.class_weight", cfg.task.class_weight, ("none", "balanced"))
-
-
-def _check_numbers(cfg: DictConfig) -> None:
-    for key in COUNTS:
-        _at_least(key, OmegaConf.select(cfg, key), 1)
-    for key in ("model.width", "model.anchors"):
-        if isinstance(value := OmegaConf.select(cfg, key), int):  # if it is there; another type is refused with the others
-            _at_least(key, value, 1)
-    for key in NOT_NEGATIVE:
-        _at_least(key, OmegaConf.select(cfg, key), 0)
-    for split in ("seen", "unseen"):
-        _at_least(f"evaluate.attempts.{split}", cfg.evaluate.attempts.get(split, 0), 1)
-    for step in cfg.evaluate.at:
-        _at_least("evaluate.at", step, 0)
-    _check_robots(cfg)
-    if not 0 <= cfg.finetune.averaging < 1:
-        raise ConfigError(f"finetune.averaging={cfg.finetune.averaging} must be at least 0 and below 1: 0 does not average")
-    if not 0 < cfg.finetune.replay.floor < math.inf:
-        raise ConfigError(f"finetune.replay.floor={cfg.finetune.replay.floor} must be above 0, or some are never drawn")
-    if not 0 < cfg.finetune.logit_scale < math.inf:
-        raise ConfigError(f"finetune.logit_scale={cfg.finetune.logit_scale} must be above 0: 1 leaves logits as they are")
 
 
 def _check_robots(cfg: DictConfig) -> None:
@@ -190,18 +178,6 @@ def _check_robots(cfg: DictConfig) -> None:
             f"evaluate.at={list(cfg.evaluate.at)} must be multiples of it: "
             f"finetune.attempts={-(-attempts // robots) * robots} 'evaluate.at={at}'"
         )
-
-
-def _check_physical(node: Any, path: str) -> None:
-    if not isinstance(node, DictConfig):
-        return
-    ours = str(node.get("_target_", "")).startswith("see2act.")
-    for key in (str(key) for key in node if not OmegaConf.is_missing(node, key)):
-        value: Any = node[key]
-        _check_physical(value, f"{path}.{key}")
-        negative = isinstance(value, int | float) and value < 0 and key != "depth"  # a pinch above the surface it aims at
-        if ours and (negative or (isinstance(value, float) and math.isnan(value))):
-            raise ConfigError(f"{path}.{key}={value} is no length, force or time: it must be at least 0")
 
 
 def _check_model(cfg: DictConfig) -> None:
@@ -241,26 +217,12 @@ def _check_vision(cfg: DictConfig) -> None:
         raise ConfigError(
             f"labels=vision subtracts one empty bin, and with robot.bin.floor={floor} each scene has another: use labels=truth"
         )
-    if not 0 < cfg.pretrain.validation < 1:
-        raise ConfigError(f"pretrain.validation={cfg.pretrain.validation} must lie between 0 and 1: it is a share")
     train = cfg.collect.interactions - max(1, round(cfg.pretrain.validation * cfg.collect.interactions))
     if cfg.task.label and train < cfg.pretrain.batch_size:
         raise ConfigError(
             f"collect.interactions={cfg.collect.interactions} leaves {train} observations for training, less than one batch "
             f"of {cfg.pretrain.batch_size}: collect more, or lower pretrain.batch_size"
         )
-
-
-def _choice(key: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise ConfigError(f"{key}={value} is unknown: choose one of {', '.join(allowed)}")
-
-
-def _at_least(key: str, value: float, least: float) -> None:
-    if not math.isfinite(value):
-        raise ConfigError(f"{key}={value} is no number: it must be at least {least}")
-    if value < least:
-        raise ConfigError(f"{key}={value} is too small: it must be at least {least}")
 
 
 def check_parts(cfg: DictConfig) -> None:

@@ -2,27 +2,63 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
+from annotated_types import Ge
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from pydantic import AfterValidator, ConfigDict, Field
 
 from see2act.errors import ConfigError
-from see2act.experiment.identity import config_hash
+from see2act.experiment.identity import WORD, config_hash
 from see2act.experiment.precision import fastest_precision
+
+NO_OTHER_KEYS = ConfigDict(extra="forbid")
+Count = Annotated[int, Ge(1)]
+NotNegativeInt = Annotated[int, Ge(0)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+def OneOf(*words: str) -> AfterValidator:
+    """Annotation of a string that must be one of some words. (OmegaConf knows no ``Literal``.)"""
+
+    def check(word: str) -> str:
+        if word not in words:
+            raise ValueError(f"choose one of {', '.join(words)}")
+        return word
+
+    return AfterValidator(check)
+
+
+def Like(pattern: str, advice: str) -> AfterValidator:
+    """Annotation of a string that must match a pattern."""
+
+    def check(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(advice)
+        return text
+
+    return AfterValidator(check)
+
+
+Word = Annotated[str, Like(WORD, "use letters, digits and _")]
+Cell = Annotated[str, Like(f"{WORD}/{WORD}/{WORD}", "each must be primitive/task/transfer, as suction/edge/full")]
 
 
 @dataclass
 class TaskConfig:
     """A source of parameters: a vision task, or none."""
 
-    name: str = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    name: Word = MISSING
     label: dict[str, Any] | None = None
     """``_target_`` and arguments of a :class:`see2act.datamodules.labels.Task`; null where nothing is learned."""
     parts: list[str] = field(default_factory=list)
@@ -35,7 +71,7 @@ class TaskConfig:
     """Beginnings of keys that off-the-shelf weights lack; they start at their initialisation."""
     zero: list[str] = field(default_factory=list)
     """The same; they start at zero."""
-    class_weight: str = "none"
+    class_weight: Annotated[str, OneOf("none", "balanced")] = "none"
     """``none``, or ``balanced`` to weigh positive pixels by the inverse of their share."""
 
 
@@ -43,7 +79,8 @@ class TaskConfig:
 class TransferConfig:
     """What is copied from the vision model."""
 
-    name: str = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    name: Word = MISSING
     parts: list[str] = field(default_factory=list)
     finetune: bool = True
 
@@ -52,21 +89,22 @@ class TransferConfig:
 class PrimitiveConfig:
     """A motion primitive and the numbers that go with it."""
 
-    name: str = MISSING
-    angles: int = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    name: Word = MISSING
+    angles: Count = MISSING
     footprint: list[float] = field(default_factory=list)
     """Metres from the middle of the open tool to its ends, along the jaws and across: what needs room between the walls."""
     end_effector: dict[str, Any] = field(default_factory=dict)
-    lr: float = MISSING
+    lr: NotNegative = MISSING
     """Learning rate of fine-tuning, for every arm alike; of networks that have none of their own in ``model.rates``."""
-    attempts: int = MISSING
+    attempts: NotNegativeInt = MISSING
     """Fine-tuning attempts of the main job."""
-    short_attempts: int = MISSING
+    short_attempts: NotNegativeInt = MISSING
     """Of a comparison with off-the-shelf weights: the paper's ten minutes of suction, its hour of grasping."""
-    benchmark_attempts: int = MISSING
+    benchmark_attempts: NotNegativeInt = MISSING
     """Of a run of the benchmark."""
-    evaluate_at: list[int] = field(default_factory=list)
-    rotation_tolerance: float = MISSING
+    evaluate_at: list[NotNegativeInt] = field(default_factory=list)
+    rotation_tolerance: NotNegative = MISSING
     """Radians by which a scene may be turned about a pick that stays as good."""
 
 
@@ -74,10 +112,11 @@ class PrimitiveConfig:
 class CollectConfig:
     """Random interaction before pre-training."""
 
-    interactions: int = MISSING
-    per_scene: int = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    interactions: Count = MISSING
+    per_scene: Count = MISSING
     seed: int = MISSING
-    workers: int = MISSING
+    workers: Count = MISSING
     primitive: PrimitiveConfig = field(default_factory=PrimitiveConfig)
 
 
@@ -85,12 +124,13 @@ class CollectConfig:
 class PretrainConfig:
     """Learning to see."""
 
-    epochs: int = MISSING
-    batch_size: int = MISSING
-    lr: float = MISSING
-    weight_decay: float = MISSING
-    validation: float = MISSING
-    test_scenes: int = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    epochs: Count = MISSING
+    batch_size: Count = MISSING
+    lr: NotNegative = MISSING
+    weight_decay: NotNegative = MISSING
+    validation: Annotated[float, Field(gt=0, lt=1)] = MISSING
+    test_scenes: Count = MISSING
     seed: int = MISSING
 
 
@@ -98,31 +138,33 @@ class PretrainConfig:
 class ReplayConfig:
     """Prioritized experience replay."""
 
-    alpha: float = MISSING
-    beta: float = MISSING
-    floor: float = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    alpha: NotNegative = MISSING
+    beta: NotNegative = MISSING
+    floor: Positive = MISSING
     mirror: bool = MISSING
-    rotation: float = MISSING
-    shift: float = MISSING
-    color_jitter: float = MISSING
+    rotation: NotNegative = MISSING
+    shift: NotNegative = MISSING
+    color_jitter: NotNegative = MISSING
 
 
 @dataclass
 class FinetuneConfig:
     """Learning to act."""
 
-    attempts: int = MISSING
-    robots: int = MISSING
-    updates: int = MISSING
-    batch_size: int = MISSING
-    backbone_lr: float = MISSING
-    head_lr: float = MISSING
-    weight_decay: float = MISSING
-    batchnorm: str = MISSING
-    averaging: float = MISSING
-    logit_scale: float = MISSING
-    temperature: float = MISSING
-    episode_attempts: int = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    attempts: NotNegativeInt = MISSING
+    robots: Count = MISSING
+    updates: Count = MISSING
+    batch_size: Count = MISSING
+    backbone_lr: NotNegative = MISSING
+    head_lr: NotNegative = MISSING
+    weight_decay: NotNegative = MISSING
+    batchnorm: Annotated[str, OneOf("frozen", "batch")] = MISSING
+    averaging: Annotated[float, Field(ge=0, lt=1)] = MISSING
+    logit_scale: Positive = MISSING
+    temperature: NotNegative = MISSING
+    episode_attempts: Count = MISSING
     replay: ReplayConfig = field(default_factory=ReplayConfig)
 
 
@@ -130,25 +172,28 @@ class FinetuneConfig:
 class AttemptsConfig:
     """Attempts of a test run at most, by what it tests."""
 
-    seen: int = MISSING
-    unseen: int = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    seen: Count = MISSING
+    unseen: Count = MISSING
 
 
 @dataclass
 class EvaluateConfig:
     """Measuring success."""
 
-    runs: int = MISSING
-    at: list[int] = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    runs: Count = MISSING
+    at: list[NotNegativeInt] = MISSING
     attempts: AttemptsConfig = field(default_factory=AttemptsConfig)
-    scenes: str = MISSING
+    scenes: Annotated[str, OneOf("evaluate", "develop")] = MISSING
 
 
 @dataclass
 class FiguresConfig:
     """Pictures of a run."""
 
-    scenes: int = MISSING
+    __pydantic_config__ = NO_OTHER_KEYS
+    scenes: Count = MISSING
     """Of each split."""
 
 
@@ -156,6 +201,7 @@ class FiguresConfig:
 class PathsConfig:
     """Where things are kept."""
 
+    __pydantic_config__ = NO_OTHER_KEYS
     cache: str = MISSING
 
 
@@ -163,6 +209,7 @@ class PathsConfig:
 class Config:
     """Everything a run depends on. Groups without a class of their own are read by what they instantiate."""
 
+    __pydantic_config__ = NO_OTHER_KEYS
     task: TaskConfig = field(default_factory=TaskConfig)
     transfer: TransferConfig = field(default_factory=TransferConfig)
     primitive: PrimitiveConfig = field(default_factory=PrimitiveConfig)
@@ -174,15 +221,15 @@ class Config:
     policy: dict[str, Any] = field(default_factory=dict)
     trainer: dict[str, Any] = field(default_factory=dict)
     logger: dict[str, Any] = field(default_factory=dict)
-    cells: list[str] = field(default_factory=list)
+    cells: list[Cell] = field(default_factory=list)
     """primitive/task/transfer of the cells of a sweep that an experiment consists of; empty: all that make sense."""
     name: str = "sweep"
     """Of the experiment."""
-    labels: str = "truth"
+    labels: Annotated[str, OneOf("truth", "vision")] = "truth"
     seed: int = 0
-    precision: str = MISSING
+    precision: Annotated[str, OneOf("bf16", "fp32")] = MISSING
     """``bf16`` or ``fp32``; see :mod:`see2act.experiment.precision`."""
-    threads: int = 2
+    threads: Count = 2
     """Of torch. Sums depend on it in the last digits, as they do on the processor; neither is part of the hash."""
     force: bool = False
     collect: CollectConfig = field(default_factory=CollectConfig)

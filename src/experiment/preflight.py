@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from see2act.errors import ConfigError
-from see2act.experiment.checks import check_keys, check_run, validate
+from see2act.experiment.checks import check_run, check_schema, validate
 from see2act.experiment.config import Config, composed_as_typed, one_line
 from see2act.experiment.folder import refuse_foreign
 from see2act.files import writable
@@ -60,7 +60,7 @@ def check_sweep(overrides: list[str]) -> None:
             first.append(value)
             others += more if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
     cfg = composed_as_typed(first)
-    check_keys(cfg)
+    check_schema(cfg)
     for option in others:
         if OmegaConf.is_config(cfg[option.split("=")[0]]):
             composed_as_typed([*first, option])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Float, Int
-from see2act.modules.network import Logits, PixelNetwork, crop
 from torch import Tensor, nn
+
+from see2act.modules.network import Count, Logits, PixelNetwork, crop
 
 
 class Residual(nn.Module):
@@ -35,7 +36,7 @@ class FCN7(PixelNetwork):
         width: Channels of the first layer; the paper's network has 64.
     """
 
-    def __init__(self, width: int = 16):
+    def __init__(self, width: Count = 16):
         backbone = nn.Sequential(
             nn.Conv2d(4, width, 3, padding=1, bias=False),
             nn.BatchNorm2d(width),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from annotated_types import Ge
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 
+Count = Annotated[int, Ge(1)]
 PRECISIONS = ("fp32", "bf16")
 DEPTHS = ("early", "none")
 """How the depth may enter networks that others trained on RGB: at the first convolution, or not at all."""

@@ -8,11 +8,12 @@ import torch
 import torch.nn.functional as F
 import torchvision
 from jaxtyping import Float, Int
-from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import Logits, PixelNetwork, check_input, crop
 from torch import Tensor, nn
 from torchvision.models.detection.backbone_utils import BackboneWithFPN
 from torchvision.models.detection.rpn import RPNHead
+
+from see2act.modules.batchnorm import BatchNorm
+from see2act.modules.network import Count, Logits, PixelNetwork, check_input, crop
 
 FPN_CHANNELS = 256
 REACH = 3
@@ -138,7 +139,7 @@ class RPN(PixelNetwork):
         depth: How the depth enters: ``early`` or ``none``.
     """
 
-    def __init__(self, backbone: str = "resnet50", anchors: int | None = None, depth: str = "early"):
+    def __init__(self, backbone: str = "resnet50", anchors: Count | None = None, depth: str = "early"):
         # The stem, four stages and the pyramid see some 500 px to each side: all of any heightmap here.
         features = DetectorBackbone(backbone, depth)
         head = ObjectnessHead(anchors or features.anchors, features.stride)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import RobotError
+from see2act.robot.types import NotNegative, RobotError
 
 NEAR, FAR = 0.1, 3.0
 
@@ -34,16 +35,16 @@ class DepthNoise:
         transparent_rate: Probability that a pixel on a transparent object has no reading; otherwise it reads what is behind.
     """
 
-    baseline: float = 0.055
-    focal: float = 930.0
-    sigma: float = 0.08
-    step: float = 1 / 32
-    blur: float = 1.0
-    edge_loss: float = 0.02
-    edge_rate: float = 0.5
-    grazing: float = 1.4
-    grazing_rate: float = 0.8
-    transparent_rate: float = 0.5
+    baseline: NotNegative = 0.055
+    focal: NotNegative = 930.0
+    sigma: NotNegative = 0.08
+    step: NotNegative = 1 / 32
+    blur: NotNegative = 1.0
+    edge_loss: NotNegative = 0.02
+    edge_rate: NotNegative = 0.5
+    grazing: NotNegative = 1.4
+    grazing_rate: NotNegative = 0.8
+    transparent_rate: NotNegative = 0.5
 
     def __call__(
         self, depth: Float[np.ndarray, "h w"], incidence: Float[np.ndarray, "h w"], rng: np.random.Generator

@@ -6,11 +6,12 @@ import xml.etree.ElementTree as ET
 from collections import deque
 
 import numpy as np
+
 from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause
+from see2act.robot.types import Cause, NotNegative
 
 DRIVER = "gripper_finger_joint"
 FOLLOWERS = {
@@ -56,13 +57,13 @@ class Gripper(EndEffector):
     def __init__(
         self,
         depth: float,
-        torque: float,
-        speed: float,
+        torque: NotNegative,
+        speed: NotNegative,
         close_steps: int,
-        threshold: float,
-        friction: float,
-        contact_limit: float,
-        size: float = 1.0,
+        threshold: NotNegative,
+        friction: NotNegative,
+        contact_limit: NotNegative,
+        size: NotNegative = 1.0,
     ):
         self._depth = depth
         self._torque = torque

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from see2act.robot import heightmap as hm
 from see2act.robot import urdf
 from see2act.robot.arm import Arm, ArmConfig
@@ -18,7 +19,7 @@ from see2act.robot.layouts import Layout, Layouts, Refusal
 from see2act.robot.objects import ObjectSet
 from see2act.robot.scene import BinConfig, Scene
 from see2act.robot.simulation import TIMESTEP, Simulation
-from see2act.robot.types import Cause, Heightmap, Observation, Outcome, Pick, RobotError, Split, Truth
+from see2act.robot.types import Cause, Heightmap, NotNegative, Observation, Outcome, Pick, RobotError, Split, Truth
 from see2act.robot.workspace import Workspace
 from see2act.seeding import generator
 
@@ -132,7 +133,7 @@ class SimulatedRobot(Robot):
         end_effector: EndEffector,
         arm: ArmConfig,
         bin: BinConfig,
-        clearance: float,
+        clearance: NotNegative,
         motion: str,
         video: bool = False,
         layouts: str | None = None,

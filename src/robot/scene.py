@@ -8,12 +8,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from see2act.robot.floors import floor_picture
 from see2act.robot.layouts import Layout, Placed, Refusal
 from see2act.robot.objects import ObjectSet, random_color, random_rotation
 from see2act.robot.simulation import Simulation
 from see2act.robot.textures import TEXTURES
-from see2act.robot.types import RobotError, Split
+from see2act.robot.types import NotNegative, RobotError, Split
 
 AT_REST, TURNING = 0.01, 0.5
 """m/s and rad/s. What is slower counts as lying still."""
@@ -61,12 +62,12 @@ class BinConfig:
         RobotError: There is no such floor, or nothing that distractors could be printed on.
     """
 
-    wall_height: float
-    wall_thickness: float
-    friction: float
-    margin: float
-    drop_height: float
-    touching: float
+    wall_height: NotNegative
+    wall_thickness: NotNegative
+    friction: NotNegative
+    margin: NotNegative
+    drop_height: NotNegative
+    touching: NotNegative
     settle_steps: int
     rest_steps: int
     floor: str = "plain"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 import numpy as np
+
 from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause
+from see2act.robot.types import Cause, NotNegative
 
 RIM_RAYS = 16
 ANCHORS = 4
@@ -45,21 +46,21 @@ class SuctionCup(EndEffector):
 
     def __init__(
         self,
-        holder_length: float,
-        holder_radius: float,
-        cup_length: float,
-        cup_radius: float,
-        travel: float,
-        stiffness: float,
-        press: float,
-        flatness: float,
-        tilt: float,
-        vacuum: float,
-        leak: float,
-        open_pressure: float,
-        threshold: float,
-        peel: float,
-        contact_limit: float,
+        holder_length: NotNegative,
+        holder_radius: NotNegative,
+        cup_length: NotNegative,
+        cup_radius: NotNegative,
+        travel: NotNegative,
+        stiffness: NotNegative,
+        press: NotNegative,
+        flatness: NotNegative,
+        tilt: NotNegative,
+        vacuum: NotNegative,
+        leak: NotNegative,
+        open_pressure: NotNegative,
+        threshold: NotNegative,
+        peel: NotNegative,
+        contact_limit: NotNegative,
     ):
         self._holder_length, self._holder_radius = holder_length, holder_radius
         self._cup_length, self.cup_radius = cup_length, cup_radius

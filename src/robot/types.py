@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Bool, Float, Int, UInt8
 
 from see2act.errors import UserError
 
 Split = Literal["seen", "unseen"]
+NotNegative = Annotated[float, Ge(0)]
+"""A length, time, force or the like in a configuration."""
 Cause = Literal["ok", "missed", "collision", "slipped", "no_seal", "wall", "unreachable"]
 
 

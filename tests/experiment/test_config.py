@@ -113,22 +113,22 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("transfer=none", ["task=none"]),
         ("labels=guess", ["labels=guess", "truth, vision"]),
         ("finetune.batchnorm=off", ["frozen, batch"]),
-        ("finetune.temperature=nan", ["finetune.temperature=nan", "at least 0"]),
-        ("finetune.logit_scale=nan", ["finetune.logit_scale=nan", "above 0"]),
+        ("finetune.temperature=nan", ["finetune.temperature=nan", "a finite number"]),
+        ("finetune.logit_scale=nan", ["finetune.logit_scale=nan", "a finite number"]),
         ("pretrain.weight_decay=-1", ["pretrain.weight_decay=-1", "at least 0"]),
         ("objects.kinds=0", ["objects.kinds=0", "at least 1"]),
         ("camera.height=0", ["camera.height=0", "at least 1 pixel"]),
-        ("model.width=abc", ["model.network.width=abc", "must be int"]),
+        ("model.width=abc", ["model.network.width=abc", "must be a valid integer"]),
         ("collect.interactions=5", ["collect.interactions=5", "batch_size"]),
         ("objects.scale=[1.0,4.0]", ["does not fit the gripper"]),
         ("workspace.pixel=0", ["must be positive"]),
         ("primitive.footprint=[0.2,0.01]", ["primitive.footprint=[0.2, 0.01]", "between 0 and"]),
         ("policy.radius=4", ["policy.radius=4", "in metres"]),
         ("finetune.replay.shift=1", ["finetune.replay.shift=1", "in metres"]),
-        ("policy.radius=big", ["policy.radius=big", "must be float"]),
-        ("model.width=0", ["model.width=0", "at least 1"]),
-        ("camera.width=wide", ["camera.width=wide", "must be int"]),
-        ("task.label.low=x", ["task.label.low=x", "must be float"]),
+        ("policy.radius=big", ["policy.radius=big", "must be a valid number"]),
+        ("model.width=0", ["width=0", "at least 1"]),
+        ("camera.width=wide", ["camera.width=wide", "must be a valid integer"]),
+        ("task.label.low=x", ["task.label.low=x", "must be a valid number"]),
         ("+task.label.lower=3", ["no parameter 'lower'"]),
         ("robot.arm.home=[2,0,0.5]", ["robot.arm.home", "out of the arm's reach"]),
         ("task.weights=nowhere.ckpt", ["nowhere.ckpt", "no file"]),
@@ -155,11 +155,11 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("robot.arm.tool_speed=0", ["robot.arm.tool_speed=0", "above 0"]),
         ("workspace.pixel=0.0035", ["102.86 pixels of 0.0035 m", "give 0.3605"]),
         ("objects.density=-5", ["objects.density=-5", "above 0"]),
-        ("logger.offline=maybe", ["logger.offline=maybe", "must be bool"]),
-        ("collect.primitive.end_effector.depth=abc", ["collect.primitive.end_effector.depth=abc", "must be float"]),
+        ("logger.offline=maybe", ["logger.offline=maybe", "must be a valid boolean"]),
+        ("collect.primitive.end_effector.depth=abc", ["collect.primitive.end_effector.depth=abc", "must be a valid number"]),
         ("objects.name=my-parts", ["objects.name=my-parts", "letters, digits and _"]),
         ("policy.name=my-rule", ["policy.name=my-rule", "letters, digits and _"]),
-        ("cells=[suction/edge]", ["'suction/edge'", "primitive/task/transfer"]),
+        ("cells=[suction/edge]", ["suction/edge", "primitive/task/transfer"]),
         ("finetune.replay.floor=0", ["finetune.replay.floor=0", "above 0"]),
         ("finetune.attempts=abc", ["finetune.attempts=abc", "could not be converted to Integer"]),
         ("experiment=smoke", ["experiment=smoke is a sweep", "add -m"]),
@@ -219,7 +219,7 @@ def test_robots_side_by_side_need_counts_that_they_can_make(config: Callable) ->
 
 @pytest.mark.parametrize("override", ["model.backbone=resnet7", "model.depth=late", "model.anchors=0"])
 def test_a_network_that_cannot_be_is_refused_before_work(override: str) -> None:
-    with pytest.raises(ConfigError, match=override.replace(".", r"\.")):
+    with pytest.raises(ConfigError, match=override.removeprefix("model.")):
         check_command(["task=coco", "model=rpn_r50_fpn", override])
 
 
