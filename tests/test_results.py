@@ -10,7 +10,7 @@ from typing import NamedTuple
 import pytest
 
 from see2act.analysis import summary
-from see2act.analysis.benches import find
+from see2act.analysis.groups import find
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -33,7 +33,7 @@ class Cell(NamedTuple):
 
 
 def _tables(path: Path, after: str, before: str = "\n## ", model: str = "") -> Iterator[Cell]:
-    """Cells of all tables of arms between two headings; ``model`` is that of tables which do not name one."""
+    """Cells of all tables of groups between two headings; ``model`` is that of tables which do not name one."""
     header: list[str] = []
     section = path.read_text().split(after)[1].split(before)[0]
     for line in section.splitlines():
@@ -70,23 +70,24 @@ def _arm(row: dict[str, str]) -> tuple[str, str, tuple[str, str]]:
 
 @pytest.fixture(scope="module", params=TABLES)
 def published(request: pytest.FixtureRequest) -> tuple[list[Cell], dict, dict]:
-    """Cells of an experiment's tables, its arms by primitive and source, and their success by step and split."""
+    """Cells of an experiment's tables, its groups by primitive and source, and their success by step and split."""
     assert len(TABLES[request.param]) >= LEAST[request.param]
     found = find(RESULTS / request.param)
-    arms = {_arm(row): row for row in summary.rows(found) if row["config_hash"]}
-    steps = {(*_arm(row), row["step"], row["split"]): row for bench in found.benches for row in summary.progress(bench)}
-    return TABLES[request.param], arms, steps
+    groups = {_arm(row): row for row in summary.rows(found) if row["config_hash"]}
+    progress = [row for comparison in found.comparisons for row in summary.progress(comparison)]
+    steps = {(*_arm(row), row["step"], row["split"]): row for row in progress}
+    return TABLES[request.param], groups, steps
 
 
 def test_every_number_of_the_tables_is_in_the_committed_runs(published: tuple[list[Cell], dict, dict]) -> None:
-    cells, arms, steps = published
+    cells, groups, steps = published
     for cell in cells:
-        arm = arms[cell.model, cell.primitive, cell.source]
+        group = groups[cell.model, cell.primitive, cell.source]
         if cell.column.startswith("paper"):
-            assert cell.text in ("", arm["paper_unseen"]), cell.place
+            assert cell.text in ("", group["paper_unseen"]), cell.place
             continue
         if cell.column == "while learning":
-            row = {part: arm[f"learning_{part}"] for part in summary.PARTS}
+            row = {part: group[f"learning_{part}"] for part in summary.PARTS}
         else:
             when, _, split = cell.column.partition(", ")
             step = "0" if when.startswith("before") else when.removeprefix("after ")

@@ -8,7 +8,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from see2act.analysis import page
-from see2act.analysis.benches import Found
+from see2act.analysis.groups import Found
 from see2act.analysis.runs import attempts_of
 from see2act.errors import UserError
 from see2act.experiment.results import read_result
@@ -20,7 +20,7 @@ SMALL = ("result.json", ".hydra/config.yaml", ".hydra/overrides.yaml")
 def keep(found: Found, folder: Path) -> None:
     """Copy finished runs to ``folder``, so that a report of it has the same tables and figures.
 
-    Of each run: result, configuration and compressed attempts. Of each arm: the pictures of the run that the report shows.
+    Of each run: result, configuration and compressed attempts. Of each group: the pictures of the run that the report shows.
     Checkpoints and logs stay behind. Runs that ``folder`` has already are left as they are, so a sweep may be kept again
     as it goes on, and one that was repeated may be compared with what was kept.
 
@@ -31,7 +31,7 @@ def keep(found: Found, folder: Path) -> None:
         kept = folder / run.place / "result.json"
         if kept.exists() and read_result(kept).outcomes != run.result.outcomes:
             raise UserError(f"{kept.parent} holds another run than {run.folder}: move it away, or give another folder")
-    pictured = {page.shown(arm).folder for bench in found.benches for arm in bench.arms}
+    pictured = {page.shown(group).folder for comparison in found.comparisons for group in comparison.groups}
     for run in tqdm(found.runs, desc="keep", disable=None):
         place = folder / run.place
         if run.folder in pictured:

@@ -14,11 +14,11 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from see2act.analysis import paper
-from see2act.analysis.benches import Arm, Bench, Found
 from see2act.analysis.commands import command
+from see2act.analysis.groups import Comparison, Found, Group
 from see2act.analysis.plots import Picture
 from see2act.analysis.runs import Run
-from see2act.analysis.summary import Row, aggregates, comparisons
+from see2act.analysis.summary import Row, aggregates, contrasts
 from see2act.experiment.results import SPLITS
 from see2act.files import replacing
 
@@ -35,9 +35,9 @@ WIDEST = 1000
 
 @dataclass(frozen=True)
 class Specimen:
-    """One run of an arm, in pictures."""
+    """One run of a group, in pictures."""
 
-    arm: Arm
+    group: Group
     run: Run
     pictures: list[dict[str, str]]
     video: str | None
@@ -52,7 +52,7 @@ def write(found: Found, rows: list[Row], steps: list[Row], pictures: dict[str, l
         found: What it is about.
         rows: Of ``table.csv``.
         steps: Of ``progress.csv``.
-        pictures: By bench's slug.
+        pictures: By comparison's slug.
         folder: Which was searched.
     """
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -63,7 +63,9 @@ def write(found: Found, rows: list[Row], steps: list[Row], pictures: dict[str, l
         title=folder.resolve().name,
         rows=rows,
         primitives=list(dict.fromkeys(row["primitive"] for row in rows)),
-        benches=[_bench(bench, rows, steps, pictures[bench.slug], folder) for bench in found.benches],
+        comparisons=[
+            _comparison(comparison, rows, steps, pictures[comparison.slug], folder) for comparison in found.comparisons
+        ],
         versions=_versions(found),
         paper=paper,
         hours=sum(map(seconds, found.runs)) / 3600,
@@ -75,41 +77,49 @@ def write(found: Found, rows: list[Row], steps: list[Row], pictures: dict[str, l
     return path
 
 
-def _bench(bench: Bench, rows: list[Row], steps: list[Row], pictures: list[Picture], folder: Path) -> dict[str, Any]:
+def _comparison(
+    comparison: Comparison, rows: list[Row], steps: list[Row], pictures: list[Picture], folder: Path
+) -> dict[str, Any]:
     progress = []
-    for arm in bench.arms:
-        mine = [step for step in steps if _of(step, bench, arm) and step["split"] == "unseen"]
-        progress.append((arm, {int(step["step"]): step for step in mine}, next(row for row in rows if _of(row, bench, arm))))
+    for group in comparison.groups:
+        mine = [step for step in steps if _of(step, comparison, group) and step["split"] == "unseen"]
+        progress.append(
+            (group, {int(step["step"]): step for step in mine}, next(row for row in rows if _of(row, comparison, group)))
+        )
     return {
-        "bench": bench,
+        "comparison": comparison,
         "pictures": pictures,
         "steps": sorted({step for _, cells, _ in progress for step in cells}),
         "progress": progress,
-        "comparisons": [*comparisons(bench, "after_unseen"), *comparisons(bench, "learning")],
-        "aggregates": aggregates(bench),
-        "specimens": [_specimen(arm, folder) for arm in bench.arms],
+        "contrasts": [*contrasts(comparison, "after_unseen"), *contrasts(comparison, "learning")],
+        "aggregates": aggregates(comparison),
+        "specimens": [_specimen(group, folder) for group in comparison.groups],
     }
 
 
-def _of(row: Row, bench: Bench, arm: Arm) -> bool:
-    """Whether a row is an arm's."""
-    return (row["primitive"], row["setting"], row["config_hash"]) == (bench.primitive, str(bench.number or ""), arm.hash)
+def _of(row: Row, comparison: Comparison, group: Group) -> bool:
+    """Whether a row is a group's."""
+    return (row["primitive"], row["protocol"], row["config_hash"]) == (
+        comparison.primitive,
+        str(comparison.number or ""),
+        group.hash,
+    )
 
 
-def _specimen(arm: Arm, folder: Path) -> Specimen:
-    run = shown(arm)
+def _specimen(group: Group, folder: Path) -> Specimen:
+    run = shown(group)
     pictures = []
     for name, image in thumbnails(run).items():
         words = GALLERY[name]
-        alt = f"{arm.primitive}, {arm.name}, seed {run.seed}: {words}"
+        alt = f"{group.primitive}, {group.name}, seed {run.seed}: {words}"
         pictures.append({"uri": _uri(image, "image/jpeg"), "alt": alt, "caption": words})
     video = run.folder / "video.mp4"
-    return Specimen(arm, run, pictures, _link(video, folder) if video.is_file() else None, _outcome(run))
+    return Specimen(group, run, pictures, _link(video, folder) if video.is_file() else None, _outcome(run))
 
 
-def shown(arm: Arm) -> Run:
+def shown(group: Group) -> Run:
     """The run with the lowest seed that has pictures: nobody chose it for its looks."""
-    return next((run for run in arm.runs if any(_picture(run, name) for name in GALLERY)), arm.runs[0])
+    return next((run for run in group.runs if any(_picture(run, name) for name in GALLERY)), group.runs[0])
 
 
 def thumbnails(run: Run) -> dict[str, bytes]:

@@ -1,4 +1,4 @@
-"""What the paper reports, and the arms that it compares."""
+"""What the paper reports, and the groups that it compares."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OFF_THE_SHELF = {
 
 
 def expected(primitive: str) -> list[tuple[str, str, str]]:
-    """Task, transfer and model of every arm that the paper compares for a primitive."""
+    """Task, transfer and model of every group that the paper compares for a primitive."""
     simulated = [("none", "none"), *((task, "full") for task in UNSEEN[primitive] if task != "none")]
     if primitive == "grasp":
         simulated.append(("foreground", "backbone"))

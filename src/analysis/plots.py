@@ -1,4 +1,4 @@
-"""The figures of a report, one bench at a time."""
+"""The figures of a report, one comparison at a time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from see2act.analysis.benches import ENOUGH, Arm, Bench
+from see2act.analysis.groups import ENOUGH, Comparison, Group
 from see2act.analysis.intervals import mean_interval
 from see2act.analysis.summary import published_for, rates
 from see2act.experiment.results import BLOCK, SPLITS
@@ -66,42 +66,42 @@ def clear(folder: Path, drawn: Iterable[Picture]) -> None:
             path.unlink()
 
 
-def draw(bench: Bench, folder: Path) -> Iterator[Picture]:
-    """Write all figures of a bench, one by one."""
+def draw(comparison: Comparison, folder: Path) -> Iterator[Picture]:
+    """Write all figures of a comparison, one by one."""
     for kind, title, plot in FIGURES:
         with plt.rc_context(STYLE):
-            drawn = plot(bench)
+            drawn = plot(comparison)
             if drawn is None:
                 continue
             figure, caption, alt = drawn
-            path = folder / f"{kind}-{bench.slug}.png"
+            path = folder / f"{kind}-{comparison.slug}.png"
             for suffix, options in ((".png", {"dpi": 150}), (".svg", {"metadata": {"Date": None}})):
                 with replacing(path.with_suffix(suffix)) as partial:
                     figure.savefig(partial, format=suffix[1:], **options)
             plt.close(figure)
-        yield Picture(path, figure.get_figwidth(), f"{title}: {bench.name}", caption, alt)
+        yield Picture(path, figure.get_figwidth(), f"{title}: {comparison.name}", caption, alt)
 
 
 Drawn = tuple[Figure, str, str] | None
 """A figure, its caption, and a text that stands for it; None where there is nothing to draw."""
 
 
-def curves(bench: Bench) -> Drawn:
+def curves(comparison: Comparison) -> Drawn:
     """Success while learning, over attempts and over the robot's minutes."""
-    arms = _overview(bench)
-    learned = [arm for arm in arms if rates(arm, "learning")]
+    groups = _overview(comparison)
+    learned = [group for group in groups if rates(group, "learning")]
     if not learned:
         return None
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.9), sharey=True, layout="constrained")
-    for arm in arms:
-        color, style = _look(bench, arm)
-        if arm not in learned:
+    for group in groups:
+        color, style = _look(comparison, group)
+        if group not in learned:
             for axes in (left, right):
-                _level(axes, rates(arm, "zero_shot_seen"), style)
-            left.plot([], [], label=f"{arm.name} (by the protocol)", **style | {"marker": ""})
+                _level(axes, rates(group, "zero_shot_seen"), style)
+            left.plot([], [], label=f"{group.name} (by the protocol)", **style | {"marker": ""})
             continue
-        blocks = _blocks(arm)
-        _band(left, blocks.steps, blocks.rates, color, style, arm.name)
+        blocks = _blocks(group)
+        _band(left, blocks.steps, blocks.rates, color, style, group.name)
         if blocks.timed.any():
             _band(right, blocks.minutes.mean(axis=0), blocks.rates[blocks.timed], color, style, None)
     left.set(xlabel="fine-tuning attempts", ylabel="success rate while learning", ylim=(-0.02, 1.02))
@@ -109,7 +109,7 @@ def curves(bench: Bench) -> Drawn:
     left.set_xlim(left=0)
     right.set_xlim(left=0)
     _legend(figure, left)
-    ends = "; ".join(f"{arm.name} {_last(arm):.2f}" for arm in learned)
+    ends = "; ".join(f"{group.name} {_last(group):.2f}" for group in learned)
     caption = (
         f"Blocks of {BLOCK} exploring attempts, mean over seeds. {_band_words(learned)} "
         "Minutes are of robot motion alone, without computing; a block stands at its mean over seeds."
@@ -117,38 +117,38 @@ def curves(bench: Bench) -> Drawn:
     return figure, caption, f"Success rate against attempts and against robot minutes. In the last block: {ends}."
 
 
-def protocol(bench: Bench) -> Drawn:
+def protocol(comparison: Comparison) -> Drawn:
     """Success by the protocol, on the way."""
-    arms = _overview(bench)
+    groups = _overview(comparison)
     figure, grid = plt.subplots(1, 2, figsize=(10, 3.9), sharey=True, layout="constrained")
-    most = max(point.step for arm in arms for run in arm.runs for point in run.result.evals)
+    most = max(point.step for group in groups for run in group.runs for point in run.result.evals)
     if most == 0:
         plt.close(figure)
         return None
-    ticks = sorted({point.step for arm in arms for run in arm.runs for point in run.result.evals})
+    ticks = sorted({point.step for group in groups for run in group.runs for point in run.result.evals})
     for axes, split in zip(grid, reversed(SPLITS), strict=True):
-        for i, arm in enumerate(arms):
-            _, style = _look(bench, arm)
-            evals = [{point.step: point[split].success_rate for point in run.result.evals} for run in arm.runs]
+        for i, group in enumerate(groups):
+            _, style = _look(comparison, group)
+            evals = [{point.step: point[split].success_rate for point in run.result.evals} for run in group.runs]
             steps = sorted(set.intersection(*map(set, evals)))
             each = [[rates_at[step] for rates_at in evals] for step in steps]
             if steps == [0]:
-                _level(axes, each[0], style, arm.name)
+                _level(axes, each[0], style, group.name)
                 continue
-            shift = (i - (len(arms) - 1) / 2) * most * 0.008  # so that error bars do not hide each other
-            axes.errorbar(np.array(steps) + shift, *_dots(each), label=arm.name, capsize=2.5, elinewidth=0.9, **style)
+            shift = (i - (len(groups) - 1) / 2) * most * 0.008  # so that error bars do not hide each other
+            axes.errorbar(np.array(steps) + shift, *_dots(each), label=group.name, capsize=2.5, elinewidth=0.9, **style)
         axes.set(xlabel="fine-tuning attempts", title=f"{split} objects", ylim=(-0.02, 1.02), xticks=ticks)
     grid[0].set_ylabel("success rate by the protocol")
     _legend(figure, grid[0])
-    ends = "; ".join(f"{arm.name} {np.mean(rates(arm, 'after_unseen')):.2f}" for arm in arms)
-    caption = f"Evaluated with frozen weights, mean over seeds. {_bar_words(arms)} Points are shifted a little sideways."
+    ends = "; ".join(f"{group.name} {np.mean(rates(group, 'after_unseen')):.2f}" for group in groups)
+    caption = f"Evaluated with frozen weights, mean over seeds. {_bar_words(groups)} Points are shifted a little sideways."
     return figure, caption, f"Success rate by the protocol against attempts. On unseen objects at the end: {ends}."
 
 
-def transfer_curves(bench: Bench) -> Drawn:
+def transfer_curves(comparison: Comparison) -> Drawn:
     """None, backbone and full beside each other while learning, a panel for each source."""
-    sources = [task for task in dict.fromkeys(arm.task for arm in bench.arms) if task != "none"]
-    sources = [t for t in sources if len({arm.transfer for arm in bench.arms if arm.task in (t, "none")}) > 1]
+    sources = [task for task in dict.fromkeys(group.task for group in comparison.groups) if task != "none"]
+    sources = [t for t in sources if len({group.transfer for group in comparison.groups if group.task in (t, "none")}) > 1]
     if not sources:
         return None
     width = min(3, len(sources))
@@ -156,14 +156,14 @@ def transfer_curves(bench: Bench) -> Drawn:
     size = (max(5.5, 3.4 * width), 2.9 * height + 0.3)
     figure, grid = plt.subplots(height, width, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained")
     for axes, task in zip(grid.flat, sources, strict=False):
-        for arm in (arm for arm in bench.arms if arm.task in (task, "none")):
-            color, style = _look(bench, arm)
-            label = arm.name if arm.task == "none" else arm.name.removeprefix(f"{task}, ")
-            if rates(arm, "learning"):
-                blocks = _blocks(arm)
+        for group in (group for group in comparison.groups if group.task in (task, "none")):
+            color, style = _look(comparison, group)
+            label = group.name if group.task == "none" else group.name.removeprefix(f"{task}, ")
+            if rates(group, "learning"):
+                blocks = _blocks(group)
                 _band(axes, blocks.steps, blocks.rates, color, style, label)
             else:
-                _level(axes, rates(arm, "zero_shot_seen"), style, f"{label} (by the protocol)")
+                _level(axes, rates(group, "zero_shot_seen"), style, f"{label} (by the protocol)")
         axes.set(title=task, ylim=(-0.02, 1.02))
         axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     for place, axes in enumerate(grid.flat):
@@ -171,68 +171,68 @@ def transfer_curves(bench: Bench) -> Drawn:
         axes.tick_params(labelbottom=place + width >= len(sources))
     figure.supxlabel("fine-tuning attempts", fontsize=9)
     figure.supylabel("success rate while learning", fontsize=9)
-    caption = f"What is transferred, source by source. {_band_words(bench.arms)}"
+    caption = f"What is transferred, source by source. {_band_words(comparison.groups)}"
     return figure, caption, f"Success while learning by what was transferred, a panel for each of {', '.join(sources)}."
 
 
-def transfer(bench: Bench) -> Drawn:
+def transfer(comparison: Comparison) -> Drawn:
     """Final success by source and transfer."""
-    return _by_source(bench, ("after_unseen", "after_seen"), "after fine-tuning")
+    return _by_source(comparison, ("after_unseen", "after_seen"), "after fine-tuning")
 
 
-def zero_shot(bench: Bench) -> Drawn:
+def zero_shot(comparison: Comparison) -> Drawn:
     """Success before the first attempt by source and transfer."""
-    return _by_source(bench, ("zero_shot_unseen", "zero_shot_seen"), "before fine-tuning")
+    return _by_source(comparison, ("zero_shot_unseen", "zero_shot_seen"), "before fine-tuning")
 
 
-def _by_source(bench: Bench, measures: Sequence[str], when: str) -> Drawn:
+def _by_source(comparison: Comparison, measures: Sequence[str], when: str) -> Drawn:
     figure, grid = plt.subplots(
-        1, 2, figsize=(10, 0.9 + 0.36 * len(bench.arms)), sharex=True, sharey=True, layout="constrained"
+        1, 2, figsize=(10, 0.9 + 0.36 * len(comparison.groups)), sharex=True, sharey=True, layout="constrained"
     )
-    places = np.arange(len(bench.arms))[::-1]
+    places = np.arange(len(comparison.groups))[::-1]
     for axes, measure in zip(grid, measures, strict=True):
-        for place, arm in zip(places, bench.arms, strict=True):
-            color, style = _look(bench, arm)
-            each = rates(arm, measure)
+        for place, group in zip(places, comparison.groups, strict=True):
+            color, style = _look(comparison, group)
+            each = rates(group, measure)
             mean, error = _dots([each])
             axes.plot(each, np.full(len(each), place + 0.22), "|", color=color, alpha=0.8, markersize=6)
             axes.errorbar(mean, [place], xerr=error, capsize=3, **style | {"linestyle": "none"})
-            if measure == "after_unseen" and (published := published_for(bench, arm)) is not None:
+            if measure == "after_unseen" and (published := published_for(comparison, group)) is not None:
                 axes.plot(
                     published, place - 0.25, "*", color="none", markeredgecolor="#1d2327", markersize=8, label="the paper"
                 )
         axes.set(xlim=(-0.02, 1.02), title=f"{measure.split('_')[-1]} objects", xlabel=f"success rate {when}")
-        axes.set_ylim(-0.6, len(bench.arms) - 0.4)
-        axes.set_yticks(places, [arm.name for arm in bench.arms])
+        axes.set_ylim(-0.6, len(comparison.groups) - 0.4)
+        axes.set_yticks(places, [group.name for group in comparison.groups])
         axes.grid(axis="y", visible=False)
     if stars := grid[0].get_legend_handles_labels()[0]:
         figure.legend(stars[:1], ["the paper"], loc="outside lower center")
-    told = "; ".join(f"{arm.name} {np.mean(rates(arm, measures[0])):.2f}" for arm in bench.arms)
-    caption = f"Points are means over seeds, ticks above them the seeds. {_bar_words(bench.arms)}"
+    told = "; ".join(f"{group.name} {np.mean(rates(group, measures[0])):.2f}" for group in comparison.groups)
+    caption = f"Points are means over seeds, ticks above them the seeds. {_bar_words(comparison.groups)}"
     return figure, caption, f"Success rate {when} by source and transfer. On unseen objects: {told}."
 
 
-def causes(bench: Bench) -> Drawn:
+def causes(comparison: Comparison) -> Drawn:
     """Why attempts failed, before, while and after learning."""
-    arms = [arm for arm in bench.arms if any(run.attempts for run in arm.runs)]
-    if not arms:
+    groups = [group for group in comparison.groups if any(run.attempts for run in group.runs)]
+    if not groups:
         return None
     stages = ("zero-shot", "while learning", "after, by the protocol")
-    figure, grid = plt.subplots(1, 3, figsize=(10, 1.3 + 0.34 * len(arms)), sharex=True, sharey=True, layout="constrained")
-    places, seen, told = np.arange(len(arms))[::-1], set(), []
+    figure, grid = plt.subplots(1, 3, figsize=(10, 1.3 + 0.34 * len(groups)), sharex=True, sharey=True, layout="constrained")
+    places, seen, told = np.arange(len(groups))[::-1], set(), []
     for axes, stage in zip(grid, stages, strict=True):
-        for place, arm in zip(places, arms, strict=True):
-            share = _failures(arm, stage)
+        for place, group in zip(places, groups, strict=True):
+            share = _failures(group, stage)
             left = 0.0
             for cause in sorted(share, key=lambda c: list(CAUSES).index(c) if c in CAUSES else len(CAUSES)):
                 axes.barh(place, share[cause], 0.66, left=left, color=CAUSES.get(cause, OTHER_COLOR), edgecolor="white")
                 left += share[cause]
                 seen.add(cause)
             if share and stage == "while learning":
-                told.append(f"{arm.name} mostly {max(share, key=lambda c: share[c])}")
+                told.append(f"{group.name} mostly {max(share, key=lambda c: share[c])}")
         axes.set(title=stage, xlim=(0, 1), xticks=(0, 0.25, 0.5, 0.75, 1), xticklabels=("0", "", "0.5", "", "1"))
         axes.grid(axis="y", visible=False)
-    grid[0].set_yticks(places, [arm.name for arm in arms])
+    grid[0].set_yticks(places, [group.name for group in groups])
     grid[1].set_xlabel("share of attempts that failed")
     names = [cause for cause in [*CAUSES, *sorted(seen - {*CAUSES})] if cause in seen]
     patches = [plt.Rectangle((0, 0), 1, 1, color=CAUSES.get(cause, OTHER_COLOR)) for cause in names]
@@ -242,7 +242,7 @@ def causes(bench: Bench) -> Drawn:
     return figure, caption, f"Failures by cause. While learning: {'; '.join(told) or 'no attempts'}."
 
 
-FIGURES: tuple[tuple[str, str, Callable[[Bench], Drawn]], ...] = (
+FIGURES: tuple[tuple[str, str, Callable[[Comparison], Drawn]], ...] = (
     ("curves", "Learning by trial and error", curves),
     ("protocol", "Tested on the way", protocol),
     ("transfer-curves", "What is transferred, while learning", transfer_curves),
@@ -269,14 +269,14 @@ class _Blocks:
     minutes: np.ndarray
 
 
-def _blocks(arm: Arm) -> _Blocks:
-    length = min(len(run.result.curve) for run in arm.runs)
-    each = [[block.success_rate for block in run.result.curve[:length]] for run in arm.runs]
-    steps = np.array([block.step for block in arm.runs[0].result.curve[:length]])
-    timed = [bool(run.attempts) for run in arm.runs]
+def _blocks(group: Group) -> _Blocks:
+    length = min(len(run.result.curve) for run in group.runs)
+    each = [[block.success_rate for block in run.result.curve[:length]] for run in group.runs]
+    steps = np.array([block.step for block in group.runs[0].result.curve[:length]])
+    timed = [bool(run.attempts) for run in group.runs]
     clocks = [
         np.cumsum([row.robot_seconds for row in run.attempts if row.phase == "finetune"])[steps - 1] / 60
-        for run in arm.runs
+        for run in group.runs
         if run.attempts
     ]
     return _Blocks(steps, np.array(each), np.array(timed), np.array(clocks))
@@ -304,21 +304,21 @@ def _dots(each: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:
     return means, np.abs(np.array(limits).T - means)
 
 
-def _look(bench: Bench, arm: Arm) -> tuple[Any, dict[str, Any]]:
+def _look(comparison: Comparison, group: Group) -> tuple[Any, dict[str, Any]]:
     """Colour by source, line by transfer, and lighter with other markers for further configurations of the same."""
-    twins = [other for other in bench.arms if (other.task, other.transfer) == (arm.task, arm.transfer)]
-    place = twins.index(arm)
-    rgb = np.array(to_rgb(COLORS.get(arm.task, OTHER_COLOR)))
+    twins = [other for other in comparison.groups if (other.task, other.transfer) == (group.task, group.transfer)]
+    place = twins.index(group)
+    rgb = np.array(to_rgb(COLORS.get(group.task, OTHER_COLOR)))
     color = tuple(rgb + (1 - rgb) * 0.55 * place / max(1, len(twins) - 1))
-    marker = MARKERS.get(arm.transfer, "^") if place == 0 else "vPX*<>"[(place - 1) % 6]
-    style = {"color": color, "linestyle": LINES.get(arm.transfer, "-."), "marker": marker, "markersize": 4, "linewidth": 1.6}
+    marker = MARKERS.get(group.transfer, "^") if place == 0 else "vPX*<>"[(place - 1) % 6]
+    style = {"color": color, "linestyle": LINES.get(group.transfer, "-."), "marker": marker, "markersize": 4, "linewidth": 1.6}
     return color, style
 
 
-def _overview(bench: Bench) -> list[Arm]:
-    """The paper's arms: the baseline and whole models; or all of them where that would leave a source out."""
-    shown = [arm for arm in bench.arms if arm.transfer in ("none", "full")]
-    return shown + [arm for arm in bench.arms if arm.task not in {a.task for a in shown}]
+def _overview(comparison: Comparison) -> list[Group]:
+    """The paper's groups: the baseline and whole models; or all of them where that would leave a source out."""
+    shown = [group for group in comparison.groups if group.transfer in ("none", "full")]
+    return shown + [group for group in comparison.groups if group.task not in {a.task for a in shown}]
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
@@ -326,32 +326,32 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
 
 
-def _band_words(arms: Sequence[Arm]) -> str:
+def _band_words(groups: Sequence[Group]) -> str:
     words = "Band: 95 % t interval over seeds"
-    return f"{words}; below {ENOUGH} seeds thin lines instead, one a seed." if _few(arms) else f"{words}."
+    return f"{words}; below {ENOUGH} seeds thin lines instead, one a seed." if _few(groups) else f"{words}."
 
 
-def _bar_words(arms: Sequence[Arm]) -> str:
+def _bar_words(groups: Sequence[Group]) -> str:
     words = "Bars: 95 % t interval over seeds"
-    return f"{words}; none below {ENOUGH} seeds." if _few(arms) else f"{words}."
+    return f"{words}; none below {ENOUGH} seeds." if _few(groups) else f"{words}."
 
 
-def _few(arms: Sequence[Arm]) -> bool:
-    return any(len(arm.runs) < ENOUGH for arm in arms)
+def _few(groups: Sequence[Group]) -> bool:
+    return any(len(group.runs) < ENOUGH for group in groups)
 
 
-def _last(arm: Arm) -> float:
-    return float(_blocks(arm).rates[:, -1].mean())
+def _last(group: Group) -> float:
+    return float(_blocks(group).rates[:, -1].mean())
 
 
-def _failures(arm: Arm, stage: str) -> dict[str, float]:
-    """Share of an arm's attempts at a stage that failed, by cause."""
-    last = max(point.step for point in arm.runs[0].result.evals)
+def _failures(group: Group, stage: str) -> dict[str, float]:
+    """Share of a group's attempts at a stage that failed, by cause."""
+    last = max(point.step for point in group.runs[0].result.evals)
     step = {"zero-shot": 0, "while learning": None}.get(stage, last)
-    policy = arm.runs[0].choices.get("policy")
+    policy = group.runs[0].choices.get("policy")
     rows = [
         row
-        for run in arm.runs
+        for run in group.runs
         for row in run.attempts
         if (row.phase == "finetune" if step is None else row.phase != "finetune" and row.step == step)
         and (step is None or row.policy == policy)

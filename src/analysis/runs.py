@@ -29,10 +29,11 @@ CONDITIONS = (
 )
 """Beginnings of the keys that two runs must share before their success may be compared."""
 LEARNING = ("model.rates",)
-"""Those that are how an arm learns, and not how it is tested."""
+"""Those that are how a group learns, and not how it is tested."""
 NO_MATTER = (
     "hydra",
     *LOCAL,
+    "cells",  # what conditions were called before
     *(f"trainer.{key}" for key in LOCAL_TRAINER),
     "trainer.enable_",
     "collect.workers",
@@ -43,7 +44,7 @@ NAMED = ("model", "objects", "workspace", "camera", "policy", "precision")
 """Conditions that ``choices`` of a result has."""
 UNKNOWN = "unknown"
 CONFIGURATION = "configuration"
-"""Key of a setting: ``read``, or ``unknown`` of runs that have lost theirs."""
+"""Key of a protocol: ``read``, or ``unknown`` of runs that have lost theirs."""
 ATTEMPTS = ("attempts.csv.gz", "attempts.csv")
 """Where the attempts of a run are: compressed in runs that were kept."""
 
@@ -61,7 +62,7 @@ class Run:
     overrides: tuple[str, ...] | None
     attempts: list[AttemptRow]
     """Rows of attempts.csv; empty if it cannot be read."""
-    setting: dict[str, str]
+    protocol: dict[str, str]
 
     @property
     def seed(self) -> int:
@@ -159,7 +160,7 @@ def _read(folder: Path, place: str, notices: list[str]) -> Run:
     if config is None:
         notices.append(f"{place} has no readable .hydra/config.yaml: its protocol is unknown, so it is kept apart.")
     attempts = _attempts(folder, place, result, notices)
-    return Run(folder, place, result, _flat(config), _overrides(folder), attempts, _setting(result, config))
+    return Run(folder, place, result, _flat(config), _overrides(folder), attempts, _protocol(result, config))
 
 
 def _config(folder: Path) -> DictConfig | None:
@@ -215,23 +216,23 @@ def attempts_of(folder: Path) -> Path | None:
     return next((folder / name for name in ATTEMPTS if (folder / name).is_file()), None)
 
 
-def _setting(result: RunResult, config: DictConfig | None) -> dict[str, str]:
+def _protocol(result: RunResult, config: DictConfig | None) -> dict[str, str]:
     """Everything that two runs must share before their success may be compared."""
     choices = result.choices
     conditions = {
         k.removesuffix(".name"): v for k, v in _flat(config).items() if begins(k, CONDITIONS) and not begins(k, LEARNING)
     }
-    setting = {
+    protocol = {
         **{key: value for key, value in conditions.items() if not begins(key, NO_MATTER)},
         **{key: str(choices.get(key, UNKNOWN)) for key in NAMED},
         "robot.motion": str(choices.get("motion", UNKNOWN)),
         "evaluate.runs": str(len(result.eval.seen.runs)),
         **{f"version of {name}": str(version) for name, version in result.versions.items()},
     }
-    setting[CONFIGURATION] = UNKNOWN if config is None else "read"
+    protocol[CONFIGURATION] = UNKNOWN if config is None else "read"
     if config is not None:  # an interpolation, unless it was typed
-        setting["finetune.attempts"] = _chosen(config, "finetune.attempts")
-    return setting
+        protocol["finetune.attempts"] = _chosen(config, "finetune.attempts")
+    return protocol
 
 
 def _chosen(config: DictConfig, key: str) -> str:

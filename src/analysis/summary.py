@@ -1,4 +1,4 @@
-"""The numbers of a report: a row for every arm, and what may be concluded from two of them."""
+"""The numbers of a report: a row for every group, and what may be concluded from two of them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 
 from see2act.analysis import paper
-from see2act.analysis.benches import ENOUGH, Arm, Bench, Found
 from see2act.analysis.commands import command_for
+from see2act.analysis.groups import ENOUGH, Comparison, Found, Group
 from see2act.analysis.intervals import (
     improvement,
     improvement_interval,
@@ -45,32 +45,32 @@ GAINS = {f"gain_{split}": (f"after_{split}", f"zero_shot_{split}") for split in 
 GAIN_PARTS = ("mean", "low", "high", "lowest")
 IQM = ("after_unseen_iqm", "after_unseen_iqm_low", "after_unseen_iqm_high")
 COLUMNS = (
-    *("primitive", "setting", "task", "transfer", "model", "config_hash", "differs", "seeds", "paper_unseen"),
+    *("primitive", "protocol", "task", "transfer", "model", "config_hash", "differs", "seeds", "paper_unseen"),
     *(f"{measure}_{part}" for measure in (*MEASURES, LEARNING) for part in PARTS),
     *(f"{gain}_{part}" for gain in GAINS for part in GAIN_PARTS),
     *(*IQM, "note"),
 )
-PROGRESS_COLUMNS = ("primitive", "setting", "task", "transfer", "model", "config_hash", "seeds", "step", "split", *PARTS)
+PROGRESS_COLUMNS = ("primitive", "protocol", "task", "transfer", "model", "config_hash", "seeds", "step", "split", *PARTS)
 Row = dict[str, str]
 """Column to text, exactly as it is shown; empty where there is no number."""
 
 
-def rates(arm: Arm, measure: str) -> list[float]:
-    """Success rate of each seed, or of one where all seeds are one measurement; empty where an arm has none."""
-    return _rates(arm.runs[:1] if one_measurement(arm, measure) else arm.runs, measure)
+def rates(group: Group, measure: str) -> list[float]:
+    """Success rate of each seed, or of one where all seeds are one measurement; empty where a group has none."""
+    return _rates(group.runs[:1] if one_measurement(group, measure) else group.runs, measure)
 
 
-def one_measurement(arm: Arm, measure: str) -> bool:
-    """Whether an arm's seeds repeat each other: before it learns, nothing of a model whose head was copied is a seed's."""
-    untouched = measure.startswith("zero_shot") or (not arm.learned and measure != LEARNING)
-    if len(arm.runs) < 2 or not untouched or arm.transfer not in ("full", "fixed"):
+def one_measurement(group: Group, measure: str) -> bool:
+    """Whether a group's seeds repeat each other: before it learns, nothing of a model whose head was copied is a seed's."""
+    untouched = measure.startswith("zero_shot") or (not group.learned and measure != LEARNING)
+    if len(group.runs) < 2 or not untouched or group.transfer not in ("full", "fixed"):
         return False
-    return len({tuple(run.scores(*MEASURES[measure])) for run in arm.runs}) == 1
+    return len({tuple(run.scores(*MEASURES[measure])) for run in group.runs}) == 1
 
 
 def rows(found: Found) -> list[Row]:
-    """A row for every arm in the paper's order, and for every arm of the paper that is missing."""
-    present = [_row(bench, arm) for bench in found.benches for arm in bench.arms]
+    """A row for every group in the paper's order, and for every group of the paper that is missing."""
+    present = [_row(comparison, group) for comparison in found.comparisons for group in comparison.groups]
     lines = [dict.fromkeys(COLUMNS, "") | row for row in [*present, *_missing(found)]]
     orders = [
         (name, list(dict.fromkeys([*order, *sorted(row[name] for row in lines)])))
@@ -79,41 +79,46 @@ def rows(found: Found) -> list[Row]:
     return sorted(lines, key=lambda row: [order.index(row[name]) for name, order in orders])
 
 
-def progress(bench: Bench) -> list[Row]:
-    """Success by the protocol on the way: a row for every arm, split and step at which all its seeds were tested."""
+def progress(comparison: Comparison) -> list[Row]:
+    """Success by the protocol on the way: a row for every group, split and step at which all its seeds were tested."""
     lines = []
-    for arm in bench.arms:
-        steps = [{point.step: point for point in run.result.evals} for run in arm.runs]
+    for group in comparison.groups:
+        steps = [{point.step: point for point in run.result.evals} for run in group.runs]
         for split in SPLITS:
             for step in sorted(set.intersection(*map(set, steps))):
                 counts = [(at[step][split].successes, at[step][split].attempts) for at in steps]
-                if step == 0 and one_measurement(arm, f"zero_shot_{split}"):
+                if step == 0 and one_measurement(group, f"zero_shot_{split}"):
                     counts = counts[:1]
-                lines.append({**_identity(bench, arm), "step": str(step), "split": split, **_summed(counts)})
+                lines.append({**_identity(comparison, group), "step": str(step), "split": split, **_summed(counts)})
     return lines
 
 
-def _identity(bench: Bench, arm: Arm) -> Row:
+def _identity(comparison: Comparison, group: Group) -> Row:
     return {
-        **{"primitive": bench.primitive, "setting": str(bench.number or ""), "task": arm.task, "transfer": arm.transfer},
-        **{"model": bench.setting["model"], "config_hash": arm.hash, "seeds": " ".join(map(str, arm.seeds))},
+        **{
+            "primitive": comparison.primitive,
+            "protocol": str(comparison.number or ""),
+            "task": group.task,
+            "transfer": group.transfer,
+        },
+        **{"model": comparison.protocol["model"], "config_hash": group.hash, "seeds": " ".join(map(str, group.seeds))},
     }
 
 
-def _row(bench: Bench, arm: Arm) -> Row:
-    row = {**_identity(bench, arm), "differs": arm.differs, "paper_unseen": _rounded(published_for(bench, arm))}
+def _row(comparison: Comparison, group: Group) -> Row:
+    row = {**_identity(comparison, group), "differs": group.differs, "paper_unseen": _rounded(published_for(comparison, group))}
     for measure in (*MEASURES, LEARNING):
-        row |= {f"{measure}_{part}": text for part, text in _measured(arm, measure).items()}
-    if arm.learned:
-        row |= {f"{gain}_{part}": text for gain, pair in GAINS.items() for part, text in _gained(arm, *pair).items()}
-    scores = scores_of(arm)
+        row |= {f"{measure}_{part}": text for part, text in _measured(group, measure).items()}
+    if group.learned:
+        row |= {f"{gain}_{part}": text for gain, pair in GAINS.items() for part, text in _gained(group, *pair).items()}
+    scores = scores_of(group)
     interval = interquartile_interval([scores]) if len(scores) >= ENOUGH else (None, None)
     row |= dict(zip(IQM, map(_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))
-    return row | {"note": "" if arm.learned else "never fine-tuned"}
+    return row | {"note": "" if group.learned else "never fine-tuned"}
 
 
-def _measured(arm: Arm, measure: str) -> Row:
-    runs = arm.runs[:1] if one_measurement(arm, measure) else arm.runs
+def _measured(group: Group, measure: str) -> Row:
+    runs = group.runs[:1] if one_measurement(group, measure) else group.runs
     return _summed([_counts(run, measure) for run in runs]) if _rates(runs, measure) else {}
 
 
@@ -126,8 +131,8 @@ def _summed(counts: list[tuple[int, int]]) -> Row:
     return dict(zip(PARTS, map(_text, numbers), strict=True))
 
 
-def _gained(arm: Arm, after: str, before: str) -> Row:
-    each = [a - b for a, b in zip(_rates(arm.runs, after), _rates(arm.runs, before), strict=True)]
+def _gained(group: Group, after: str, before: str) -> Row:
+    each = [a - b for a, b in zip(_rates(group.runs, after), _rates(group.runs, before), strict=True)]
     interval = t_interval(each) if len(each) >= ENOUGH else None
     numbers = (float(np.mean(each)), *(interval or (None, None)), min(each))
     return dict(zip(GAIN_PARTS, map(_text, numbers), strict=True))
@@ -147,12 +152,12 @@ def _text(number: float | int | None) -> str:
     return str(number) if isinstance(number, int) else f"{number:.3f}"
 
 
-def published_for(bench: Bench, arm: Arm) -> float | None:
-    """The paper's success on unseen objects, where its simulation is what this bench imitates."""
-    alike = bench.setting["model"] == "fcn7" and bench.setting["objects"] == "diverse"
-    if not alike or not arm.learned or arm.transfer not in ("none", "full"):
+def published_for(comparison: Comparison, group: Group) -> float | None:
+    """The paper's success on unseen objects, where its simulation is what this comparison imitates."""
+    alike = comparison.protocol["model"] == "fcn7" and comparison.protocol["objects"] == "diverse"
+    if not alike or not group.learned or group.transfer not in ("none", "full"):
         return None
-    return paper.UNSEEN.get(bench.primitive, {}).get(arm.task)
+    return paper.UNSEEN.get(comparison.primitive, {}).get(group.task)
 
 
 def _rounded(published: float | None) -> str:
@@ -162,9 +167,9 @@ def _rounded(published: float | None) -> str:
 def _missing(found: Found) -> list[Row]:
     missing = []
     for primitive in paper.PRIMITIVES:
-        benches = [bench for bench in found.benches if _same(bench.primitive, primitive)]
-        there = {(a.task, a.transfer, b.setting["model"]) for b in benches for a in b.arms}
-        for task, transfer, model in dict.fromkeys([*paper.expected(primitive), *_of_experiments(benches, primitive)]):
+        comparisons = [comparison for comparison in found.comparisons if _same(comparison.primitive, primitive)]
+        there = {(a.task, a.transfer, b.protocol["model"]) for b in comparisons for a in b.groups}
+        for task, transfer, model in dict.fromkeys([*paper.expected(primitive), *_of_experiments(comparisons, primitive)]):
             if (task, transfer, model) in there:
                 continue
             cell = (task, transfer, model)
@@ -172,7 +177,9 @@ def _missing(found: Found) -> list[Row]:
             reason = f"only unfinished runs ({begun})" if begun else "no runs"
             if file := paper.missing_weights(task, model):
                 reason += f"; weights not here: {file}"
-                if like := [arm for bench in benches if bench.setting["model"] == model for arm in bench.arms]:
+                if like := [
+                    group for comparison in comparisons if comparison.protocol["model"] == model for group in comparison.groups
+                ]:
                     reason += f", with which it is `{command_for(task, transfer, file, like[0])}`"
             number = paper.UNSEEN[primitive].get(task) if model == "fcn7" and transfer in ("none", "full") else None
             row = {"primitive": primitive, "task": task, "transfer": transfer, "model": model, "note": reason}
@@ -180,16 +187,24 @@ def _missing(found: Found) -> list[Row]:
     return missing
 
 
-def _of_experiments(benches: list[Bench], primitive: str) -> list[tuple[str, str, str]]:
-    """Task, transfer and model of the cells that the runs' own experiments name."""
-    named = {
-        (bench.setting["model"], cell)
-        for bench in benches
-        for arm in bench.arms
-        for cell in yaml.safe_load(arm.runs[0].config.get("cells", "[]"))
-    }
-    cells = [(*cell.split("/"), model) for model, cell in sorted(named)]
-    return [(task, transfer, model) for of, task, transfer, model in cells if _same(of, primitive)]
+def _of_experiments(comparisons: list[Comparison], primitive: str) -> list[tuple[str, str, str]]:
+    """Task, transfer and model of the conditions that the runs' own experiments name."""
+    named = sorted(
+        {
+            (condition, comparison.protocol["model"])
+            for comparison in comparisons
+            for group in comparison.groups
+            for condition in _conditions(group.runs[0].config)
+        }
+    )
+    split = [(*condition.split("/"), model) for condition, model in named]
+    return [(task, transfer, model) for of, task, transfer, model in split if _same(of, primitive)]
+
+
+def _conditions(config: dict[str, str]) -> list[str]:
+    """Of a run's experiment; earlier versions called them cells."""
+    conditions: list[str] = yaml.safe_load(config.get("conditions", config.get("cells", "[]")))
+    return conditions
 
 
 def _same(primitive: str, published: str) -> bool:
@@ -197,18 +212,18 @@ def _same(primitive: str, published: str) -> bool:
     return primitive.split("_")[0] == published
 
 
-def scores_of(arm: Arm, measure: str = "after_unseen") -> np.ndarray:
+def scores_of(group: Group, measure: str = "after_unseen") -> np.ndarray:
     """Success rate (seed, test run); of one seed where all are one measurement."""
-    runs = arm.runs[:1] if one_measurement(arm, measure) else arm.runs
+    runs = group.runs[:1] if one_measurement(group, measure) else group.runs
     return np.array([run.scores(*MEASURES[measure]) for run in runs])
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """How probably a seed of one arm does better than one of another; numbers are empty below ``ENOUGH`` seeds of either."""
+class Contrast:
+    """How probably a seed of one group does better than one of another; numbers are empty below ``ENOUGH`` seeds of either."""
 
-    arm: Arm
-    other: Arm
+    group: Group
+    other: Group
     measure: str
     verdict: str
     probability: str
@@ -220,17 +235,17 @@ class Comparison:
     difference_high: str
 
 
-def comparisons(bench: Bench, measure: str) -> list[Comparison]:
-    """Every arm with the baseline, and arms of one source with each other."""
+def contrasts(comparison: Comparison, measure: str) -> list[Contrast]:
+    """Every group with the baseline, and groups of one source with each other."""
     pairs = [
-        (arm, other)
-        for i, arm in enumerate(bench.arms)
-        for other in bench.arms[:i]
-        if other.transfer == "none" or arm.task == other.task
+        (group, other)
+        for i, group in enumerate(comparison.groups)
+        for other in comparison.groups[:i]
+        if other.transfer == "none" or group.task == other.task
     ]
     compared = []
-    for arm, other in pairs:
-        a, b = (rates(each, measure) for each in (arm, other))
+    for group, other in pairs:
+        a, b = (rates(each, measure) for each in (group, other))
         if not (a and b):
             continue
         left, right = np.array(a), np.array(b)
@@ -240,7 +255,7 @@ def comparisons(bench: Bench, measure: str) -> list[Comparison]:
         if limits and min(len(a), len(b)) >= ENOUGH:
             numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
         told = verdict(len(a), len(b), (low, high), limits or (-math.inf, math.inf))
-        compared.append(Comparison(arm, other, measure, told, *map(_text, numbers)))
+        compared.append(Contrast(group, other, measure, told, *map(_text, numbers)))
     return compared
 
 
@@ -254,20 +269,20 @@ def verdict(n: int, m: int, improvement: tuple[float, float], difference: tuple[
         improvement: Interval of the probability of improvement.
         difference: Interval of the difference of the means.
     """
-    chance = 2 / math.comb(n + m, n)  # of the seeds of two equal arms to fall entirely apart, either way
+    chance = 2 / math.comb(n + m, n)  # of the seeds of two equal groups to fall entirely apart, either way
     if min(n, m) < ENOUGH or chance > 0.05:
         odds = "always" if chance >= 1 else f"one time in {1 / chance:.2g}"
-        return f"too few seeds to conclude ({n} and {m}): equal arms would part entirely {odds}"
+        return f"too few seeds to conclude ({n} and {m}): equal groups would part entirely {odds}"
     if improvement[0] > 0.5 and difference[0] > 0:
         return "better"
     if improvement[1] < 0.5 and difference[1] < 0:
         return "worse"
-    return "no difference shown: an interval holds that of equal arms"
+    return "no difference shown: an interval holds that of equal groups"
 
 
 @dataclass(frozen=True)
 class Aggregate:
-    """The interquartile mean of several arms together."""
+    """The interquartile mean of several groups together."""
 
     transfer: str
     sources: str
@@ -276,19 +291,20 @@ class Aggregate:
     high: str
 
 
-def aggregates(bench: Bench) -> list[Aggregate]:
+def aggregates(comparison: Comparison) -> list[Aggregate]:
     """Every kind of transfer over its sources, on unseen objects; none where a source has several configurations."""
     kinds = {
-        kind: [arm for arm in bench.arms if arm.transfer == kind] for kind in dict.fromkeys(a.transfer for a in bench.arms)
+        kind: [group for group in comparison.groups if group.transfer == kind]
+        for kind in dict.fromkeys(a.transfer for a in comparison.groups)
     }
-    if not all(arm.alone for arm in bench.arms) or max(map(len, kinds.values())) < 2:
+    if not all(group.alone for group in comparison.groups) or max(map(len, kinds.values())) < 2:
         return []
     together = []
-    for kind, arms in kinds.items():
-        strata = [scores_of(arm) for arm in arms]
+    for kind, groups in kinds.items():
+        strata = [scores_of(group) for group in groups]
         mean = float(interquartile_mean(np.concatenate([scores.ravel() for scores in strata])))
         interval = interquartile_interval(strata) if min(map(len, strata)) >= ENOUGH else (None, None)
-        together.append(Aggregate(kind, ", ".join(arm.task for arm in arms), *map(_text, (mean, *interval))))
+        together.append(Aggregate(kind, ", ".join(group.task for group in groups), *map(_text, (mean, *interval))))
     return together
 
 
@@ -305,9 +321,9 @@ def write_markdown(lines: list[Row], path: Path) -> None:
     text = ["| primitive | source | transfer | configuration | seeds | paper, unseen | " + " | ".join(SHORT) + " | note |"]
     text.append("|" + "---|" * (text[0].count("|") - 1))
     for row in lines:
-        setting = f"setting {row['setting']}," if row["setting"] else ""
+        protocol = f"protocol {row['protocol']}," if row["protocol"] else ""
         hashed = f"`{row['config_hash']}`" if row["config_hash"] else ""
-        configuration = " ".join(filter(None, (row["model"], setting, hashed, row["differs"])))
+        configuration = " ".join(filter(None, (row["model"], protocol, hashed, row["differs"])))
         cells = [row["primitive"], row["task"], row["transfer"], configuration, row["seeds"], row["paper_unseen"]]
         cells += [_cell(row, measure) for measure in SHORT.values()] + [row["note"]]
         text.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")

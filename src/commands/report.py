@@ -10,7 +10,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from see2act.analysis.benches import Found, find
+from see2act.analysis.groups import Found, find
 from see2act.commands import user_errors_end_the_program
 from see2act.errors import UserError
 
@@ -59,7 +59,7 @@ def report(folder: Path) -> Found:
     if not folder.is_dir():
         raise UserError(f"{folder} is no folder: {HINT}")
     found = find(folder)
-    if not (found.benches or found.unfinished or found.broken):
+    if not (found.comparisons or found.unfinished or found.broken):
         raise UserError(f"{folder} holds no runs: {HINT}, or make one with `python train.py`")
     from tqdm import tqdm
 
@@ -68,14 +68,14 @@ def report(folder: Path) -> Found:
     rows = summary.rows(found)
     summary.write_csv(rows, folder / "table.csv")
     summary.write_markdown(rows, folder / "table.md")
-    steps = [line for bench in found.benches for line in summary.progress(bench)]
+    steps = [line for comparison in found.comparisons for line in summary.progress(comparison)]
     summary.write_csv(steps, folder / "progress.csv", summary.PROGRESS_COLUMNS)
     pictures: dict[str, list[plots.Picture]] = {}
-    with tqdm(total=len(found.benches) * len(plots.FIGURES), desc="draw", disable=None) as bar:
-        for bench in found.benches:
-            pictures[bench.slug] = []
-            for picture in plots.draw(bench, folder / "figures"):
-                pictures[bench.slug].append(picture)
+    with tqdm(total=len(found.comparisons) * len(plots.FIGURES), desc="draw", disable=None) as bar:
+        for comparison in found.comparisons:
+            pictures[comparison.slug] = []
+            for picture in plots.draw(comparison, folder / "figures"):
+                pictures[comparison.slug].append(picture)
                 bar.update()
     plots.clear(folder / "figures", [picture for drawn in pictures.values() for picture in drawn])
     page.write(found, rows, steps, pictures, folder)

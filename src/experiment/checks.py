@@ -104,7 +104,7 @@ def _words(message: str) -> str:
     return message.replace("greater than or equal to", "at least").replace("greater than", "above")
 
 
-def illegal_cell(cfg: DictConfig) -> str | None:
+def impossible_condition(cfg: DictConfig) -> str | None:
     """Why a task and a transfer do not go together, with the mend; None where they do."""
     task, transfer = cfg.task.name, cfg.transfer.name
     if task == "none" and transfer != "none":
@@ -141,7 +141,7 @@ def validate(cfg: DictConfig) -> None:
         ConfigError: With one line that names the mend.
     """
     check_schema(cfg)
-    if reason := illegal_cell(cfg):
+    if reason := impossible_condition(cfg):
         raise ConfigError(reason)
     _check_trainer_keys(cfg)
     _check_names(cfg)

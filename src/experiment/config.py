@@ -50,7 +50,7 @@ def Like(pattern: str, advice: str) -> AfterValidator:
 
 
 Word = Annotated[str, Like(WORD, "use letters, digits and _")]
-Cell = Annotated[str, Like(f"{WORD}/{WORD}/{WORD}", "each must be primitive/task/transfer, as suction/edge/full")]
+Condition = Annotated[str, Like(f"{WORD}/{WORD}/{WORD}", "each must be primitive/task/transfer, as suction/edge/full")]
 
 
 @dataclass
@@ -221,8 +221,8 @@ class Config:
     policy: dict[str, Any] = field(default_factory=dict)
     trainer: dict[str, Any] = field(default_factory=dict)
     logger: dict[str, Any] = field(default_factory=dict)
-    cells: list[Cell] = field(default_factory=list)
-    """primitive/task/transfer of the cells of a sweep that an experiment consists of; empty: all that make sense."""
+    conditions: list[Condition] = field(default_factory=list)
+    """primitive/task/transfer of each condition of an experiment; empty: all that make sense."""
     name: str = "sweep"
     """Of the experiment."""
     labels: Annotated[str, OneOf("truth", "vision")] = "truth"

@@ -21,7 +21,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 SOURCES = Path(__file__).parents[1]
-LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "cells")
+LOCAL = ("name", "hydra", "paths", "logger", "seed", "force", "figures", "threads", "conditions")
 """Keys of the configuration that leave results as they are, or have a place of their own in the run's path."""
 LOCAL_TRAINER = ("logger", "log_every_n_steps", "num_sanity_val_steps")
 """The same among the trainer's keys, with everything that starts with ``enable_``, the processor, and one device."""

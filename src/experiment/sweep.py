@@ -13,7 +13,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from see2act.errors import DamagedFile, MissingWeights, UserError
-from see2act.experiment.checks import illegal_cell
+from see2act.experiment.checks import impossible_condition
 from see2act.experiment.folder import begun_by_another_version, of_this_version
 from see2act.experiment.single import run_checked
 from see2act.files import replacing
@@ -23,7 +23,7 @@ SKIPPED, LEFT_OUT, MISSING, FAILED, OTHER = "skipped.txt", "left_out.txt", "miss
 """Notes that a job leaves in its folder: one line each."""
 TOLD = {
     SKIPPED: "combinations were skipped, since they make no sense",
-    LEFT_OUT: "cells were left out, since the experiment does not name them: cells=[] runs all that make sense",
+    LEFT_OUT: "conditions were left out, since the experiment does not name them: conditions=[] runs all that make sense",
     MISSING: "jobs were skipped, since their weights are not here",
     OTHER: (
         "runs are of another version of the code, and were not touched: to run one anew, add its primitive=, task=, transfer= "
@@ -31,7 +31,7 @@ TOLD = {
     ),
     FAILED: "jobs FAILED, and run again when the same sweep is started again",
 }
-OF_CELLS, NOT_RUN = (SKIPPED, LEFT_OUT), (MISSING, OTHER, FAILED)
+OF_CONDITIONS, NOT_RUN = (SKIPPED, LEFT_OUT), (MISSING, OTHER, FAILED)
 """Notes that say the same of all seeds, and notes of one run."""
 
 
@@ -54,7 +54,7 @@ class Summary(Callback):
         for name, words in TOLD.items():
             notes = [note for note in sorted(folder.rglob(name)) if note.stat().st_mtime >= self._start]
             lines = [f"{note.parent.relative_to(folder)}: {note.read_text()}" for note in notes]
-            if name in OF_CELLS:
+            if name in OF_CONDITIONS:
                 lines = sorted({note.read_text() for note in notes})
             if lines:
                 log.info("%d %s:\n  %s", len(lines), words, "\n  ".join(lines))
@@ -62,7 +62,7 @@ class Summary(Callback):
                 Summary.failures = len(lines)
         jobs = [path.parent.parent for path in folder.rglob(".hydra/config.yaml") if path.stat().st_mtime >= self._start]
         if jobs and not any((job / name).exists() for job in jobs for name in ("run.json", "result.json", *NOT_RUN)):
-            log.error("not one job ran: none of these combinations makes sense and is a cell of the experiment")
+            log.error("not one job ran: none of these combinations makes sense and is a condition of the experiment")
             Summary.failures += 1
 
 
@@ -78,13 +78,13 @@ def run_job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
         The final success rate on unseen objects; None if it did not run.
     """
     _clear_notes(folder)
-    cell = f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}"
-    if reason := illegal_cell(cfg):
-        if not cfg.cells:  # of an experiment that names its cells nobody misses the others
+    condition = f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}"
+    if reason := impossible_condition(cfg):
+        if not cfg.conditions:  # an experiment that names its conditions does not expect the others
             _note(folder, SKIPPED, f"{cfg.primitive.name}: {reason}")
         return None
-    if cfg.cells and cell not in cfg.cells:
-        _note(folder, LEFT_OUT, cell)
+    if cfg.conditions and condition not in cfg.conditions:
+        _note(folder, LEFT_OUT, condition)
         return None
     try:
         if not cfg.force and (duplicate := finished_elsewhere(folder, sweep)):

@@ -10,10 +10,10 @@ import torchvision
 from omegaconf import DictConfig
 
 from see2act.analysis import paper, runs
-from see2act.analysis.benches import SHOWN, find
+from see2act.analysis.groups import SHOWN, find
 from see2act.analysis.plots import _blocks, _failures
 from see2act.analysis.runs import CONDITIONS
-from see2act.analysis.summary import aggregates, comparisons, progress, rows, verdict
+from see2act.analysis.summary import aggregates, contrasts, progress, rows, verdict
 from see2act.experiment.results import wilson
 from see2act.modules.nanodet_weights import FILE as NANODET
 
@@ -24,8 +24,8 @@ MakeRun = Callable[..., Path]
     ("n", "m", "improvement", "difference", "words"),
     [
         (2, 20, (1.0, 1.0), (0.1, 0.3), "too few seeds to conclude (2 and 20)"),
-        (3, 3, (1.0, 1.0), (0.1, 0.3), "equal arms would part entirely one time in 10"),
-        (1, 1, (1.0, 1.0), (0.1, 0.3), "equal arms would part entirely always"),
+        (3, 3, (1.0, 1.0), (0.1, 0.3), "equal groups would part entirely one time in 10"),
+        (1, 1, (1.0, 1.0), (0.1, 0.3), "equal groups would part entirely always"),
         (4, 4, (0.6, 1.0), (0.1, 0.3), "better"),
         (5, 5, (0.0, 0.4), (-0.3, -0.1), "worse"),
         (5, 5, (0.4, 1.0), (0.1, 0.3), "no difference shown"),
@@ -53,22 +53,22 @@ def test_seeds_that_repeat_each_other_are_one_measurement(make_run: MakeRun, tmp
     assert full["gain_unseen_lowest"] == "-0.100"
     assert by_cell["normal", "backbone"]["zero_shot_unseen_attempts"] == "100"  # its head is each seed's own
     assert by_cell["normal", "fixed"]["after_unseen_attempts"] == "20"
-    (bench,) = find(tmp_path).benches
-    against = {(c.arm.cell, c.other.cell): c for c in comparisons(bench, "after_unseen")}
+    (comparison,) = find(tmp_path).comparisons
+    against = {(c.group.condition, c.other.condition): c for c in contrasts(comparison, "after_unseen")}
     assert "too few seeds to conclude (1 and 5)" in against["normal, fixed", "normal, full"].verdict
-    (point,) = (p for p in progress(bench) if (p["transfer"], p["step"], p["split"]) == ("full", "0", "unseen"))
+    (point,) = (p for p in progress(comparison) if (p["transfer"], p["step"], p["split"]) == ("full", "0", "unseen"))
     assert point["attempts"] == "20"
 
 
-def test_arms_are_compared_with_the_baseline_and_within_their_source(make_run: MakeRun, tmp_path: Path) -> None:
+def test_groups_are_compared_with_the_baseline_and_within_their_source(make_run: MakeRun, tmp_path: Path) -> None:
     for seed in range(4):
         make_run("none-none", seed=seed, unseen=[(seed, 10), (seed, 10)])
         make_run("normal-full", seed=seed, unseen=[(5 + seed, 10), (5 + seed, 10)])
         make_run("normal-backbone", seed=seed, unseen=[(seed, 10), (seed, 10)])
         make_run("edge-full", seed=seed)
         make_run("edge-full", "grasp", seed=seed)
-    bench = next(bench for bench in find(tmp_path).benches if bench.primitive == "suction")
-    found = {(c.arm.cell, c.other.cell): c for c in comparisons(bench, "after_unseen")}
+    comparison = next(comparison for comparison in find(tmp_path).comparisons if comparison.primitive == "suction")
+    found = {(c.group.condition, c.other.condition): c for c in contrasts(comparison, "after_unseen")}
     assert set(found) == {
         ("normal, full", "none (random)"),
         ("normal, backbone", "none (random)"),
@@ -83,7 +83,7 @@ def test_arms_are_compared_with_the_baseline_and_within_their_source(make_run: M
     assert (gap.difference, gap.difference_low, gap.difference_high) == ("0.500", "0.277", "0.723")  # 0.5 +- 2.447 * 0.0913
     assert found["normal, backbone", "none (random)"].probability == "0.500"
     assert found["normal, backbone", "normal, full"].verdict == "worse"
-    together = aggregates(bench)
+    together = aggregates(comparison)
     assert [(a.transfer, a.sources) for a in together] == [("none", "none"), ("full", "normal, edge"), ("backbone", "normal")]
     assert [a.mean for a in together] == ["0.150", "0.725", "0.150"]  # 0.725: of six times 0.7 and two 0.8
 
@@ -92,21 +92,21 @@ def test_sources_with_several_configurations_are_not_put_together(make_run: Make
     make_run("normal-full", config_hash="aaaaaaaaaaaa")
     make_run("normal-full", config_hash="bbbbbbbbbbbb")
     make_run("edge-full", config_hash="cccccccccccc")
-    (bench,) = find(tmp_path).benches
-    assert aggregates(bench) == []
+    (comparison,) = find(tmp_path).comparisons
+    assert aggregates(comparison) == []
 
 
 def test_robot_minutes_add_up_and_failures_are_shares(make_run: MakeRun, tmp_path: Path) -> None:
     for seed in range(2):
         make_run(seed=seed, learned=[1] * 20 + [0] * 20 + [1] * 5, seen=[(10, 10)], unseen=[(0, 10)], zero=[(5, 10)])
-    ((arm,),) = (bench.arms for bench in find(tmp_path).benches)
-    blocks = _blocks(arm)
+    ((group,),) = (comparison.groups for comparison in find(tmp_path).comparisons)
+    blocks = _blocks(group)
     assert blocks.steps.tolist() == [20, 40, 45]
     assert blocks.rates.tolist() == [[1, 0, 1]] * 2
     assert blocks.minutes[0] == pytest.approx([2, 4, 4.5])  # six seconds an attempt
-    assert _failures(arm, "while learning") == {"slipped": pytest.approx(20 / 45)}
-    assert _failures(arm, "zero-shot") == {"missed": 0.5}
-    assert _failures(arm, "after, by the protocol") == {"missed": 0.5}
+    assert _failures(group, "while learning") == {"slipped": pytest.approx(20 / 45)}
+    assert _failures(group, "zero-shot") == {"missed": 0.5}
+    assert _failures(group, "after, by the protocol") == {"missed": 0.5}
 
 
 def test_the_file_names_of_weights_are_those_that_are_read(config: Callable[..., DictConfig]) -> None:

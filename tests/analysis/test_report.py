@@ -184,27 +184,27 @@ def test_what_was_tested_otherwise_is_kept_apart_and_said(
     make_run("none-none", seed=2, config_hash="aaaaaaaaaaaa" if same_hash else "bbbbbbbbbbbb", **other)
     main([str(runs)])
     rows = [row for row in _table(runs) if row["config_hash"]]
-    assert [(row["setting"], row["seeds"]) for row in rows] == [("1", "0 1"), ("2", "2")]
+    assert [(row["protocol"], row["seeds"]) for row in rows] == [("1", "0 1"), ("2", "2")]
     out = capsys.readouterr().out
-    assert "suction was tested in 2 settings, which are kept apart" in out
+    assert "suction was tested by 2 protocols, which are kept apart" in out
     assert words in out
     assert words in (runs / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_arms_that_differ_in_more_than_transfer_are_said(make_run: MakeRun, runs: Path) -> None:
+def test_groups_that_differ_in_more_than_transfer_are_said(make_run: MakeRun, runs: Path) -> None:
     make_run("none-none", config_hash="aaaaaaaaaaaa")
     make_run("normal-full", config_hash="bbbbbbbbbbbb", finetune__logit_scale=1.0)
     notices = report(runs).notices
-    assert any("arms differ in more than their source and transfer: finetune.logit_scale" in notice for notice in notices)
+    assert any("groups differ in more than their source and transfer: finetune.logit_scale" in notice for notice in notices)
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_arms_that_learn_at_other_rates_are_compared(make_run: MakeRun, runs: Path) -> None:
+def test_groups_that_learn_at_other_rates_are_compared(make_run: MakeRun, runs: Path) -> None:
     make_run("none-none", config_hash="aaaaaaaaaaaa", model__rates__head=1e-4)
     make_run("normal-full", config_hash="bbbbbbbbbbbb", model__rates__head=3e-4)
     report(runs)
-    assert [row["setting"] for row in _table(runs) if row["config_hash"]] == ["", ""]
+    assert [row["protocol"] for row in _table(runs) if row["config_hash"]] == ["", ""]
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -299,7 +299,7 @@ def test_a_run_that_was_typed_with_an_interpolation_is_read(make_run: MakeRun, r
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_every_arm_of_the_paper_has_a_row(
+def test_every_group_of_the_paper_has_a_row(
     make_run: MakeRun, runs: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
@@ -322,7 +322,7 @@ def test_every_arm_of_the_paper_has_a_row(
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_an_arm_whose_weights_are_not_here_has_its_command(
+def test_a_group_whose_weights_are_not_here_has_its_command(
     make_run: MakeRun, runs: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
@@ -346,7 +346,7 @@ def test_the_paper_s_numbers_stand_beside_its_own_simulation_only(make_run: Make
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_missing_arm_of_another_network_has_no_number_of_the_paper(make_run: MakeRun, runs: Path) -> None:
+def test_a_missing_group_of_another_network_has_no_number_of_the_paper(make_run: MakeRun, runs: Path) -> None:
     make_run(model="rpn_r50_fpn", cells=["suction/normal/full", "suction/foreground/full"])
     report(runs)
     missing = next(
@@ -387,7 +387,7 @@ def test_a_folder_without_runs_is_refused_in_one_line(tmp_path: Path, there: boo
 
 @pytest.fixture
 def sweep(make_run: MakeRun, runs: Path) -> Path:
-    """Two arms with three seeds, a fixed one, an unfinished run, pictures and a film."""
+    """Two groups with three seeds, a fixed one, an unfinished run, pictures and a film."""
     for seed in range(3):
         make_run("none-none", seed=seed, config_hash="aaaaaaaaaaaa", learned=[0] * 30 + [1] * 10)
         folder = make_run("normal-full", seed=seed, config_hash="bbbbbbbbbbbb", pictures=True)
@@ -464,15 +464,15 @@ def test_what_is_kept_gives_the_same_tables_and_page(sweep: Path, make_run: Make
             main([str(sweep), "--keep", str(wrong)])
 
 
-def test_an_arm_says_how_to_run_it_again(sweep: Path, make_run: MakeRun) -> None:
+def test_a_group_says_how_to_run_it_again(sweep: Path, make_run: MakeRun) -> None:
     words = "python train.py -m task=normal transfer=full primitive=suction threads=1 seed=0,1,2"
     assert words in (sweep / "report.html").read_text()
     make_run("edge-full", config_hash="dddddddddddd", evaluate__at="[0, 150]")
-    arm = next(arm for bench in report(sweep).benches for arm in bench.arms if arm.task == "edge")
-    assert command(arm) == "python train.py task=edge transfer=full primitive=suction threads=1 'evaluate.at=[0, 150]' seed=0"
+    group = next(group for comparison in report(sweep).comparisons for group in comparison.groups if group.task == "edge")
+    assert command(group) == "python train.py task=edge transfer=full primitive=suction threads=1 'evaluate.at=[0, 150]' seed=0"
     make_run("corner-full", config_hash="eeeeeeeeeeee", experiment="smoke")
-    arm = next(arm for bench in report(sweep).benches for arm in bench.arms if arm.task == "corner")
-    assert command(arm).startswith("python train.py -m task=corner")  # or it would not lie beside the others
+    group = next(group for comparison in report(sweep).comparisons for group in comparison.groups if group.task == "corner")
+    assert command(group).startswith("python train.py -m task=corner")  # or it would not lie beside the others
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -520,9 +520,9 @@ def test_a_run_without_its_configuration_is_kept_apart(make_run: MakeRun, runs: 
     (folder / ".hydra" / "config.yaml").unlink()
     (folder / ".hydra" / "overrides.yaml").unlink()
     found = report(runs)
-    assert [bench.number for bench in found.benches] == [1, 2]
+    assert [comparison.number for comparison in found.comparisons] == [1, 2]
     assert any("its protocol is unknown" in notice for notice in found.notices)
-    assert any("configuration=unknown (1 arm)" in notice for notice in found.notices)
+    assert any("configuration=unknown (1 group)" in notice for notice in found.notices)
     assert not any("absent" in notice for notice in found.notices)
 
 

@@ -470,13 +470,13 @@ def _swept(folder: Path, cache: Path, *overrides: str, **environment: str) -> su
     return subprocess.run(command, capture_output=True, text=True, timeout=500, cwd=folder.parent, env=known)
 
 
-def test_a_sweep_skips_cells_that_make_no_sense_and_links_runs(tmp_path: Path, cache: Path) -> None:
-    cells = ("task=none,normal", "transfer=none,fixed")
-    done = _swept(tmp_path / "sweep", cache, *cells)
+def test_a_sweep_skips_conditions_that_make_no_sense_and_links_runs(tmp_path: Path, cache: Path) -> None:
+    conditions = ("task=none,normal", "transfer=none,fixed")
+    done = _swept(tmp_path / "sweep", cache, *conditions)
     assert done.returncode == 0, done.stderr[-3000:]
     assert len(list(tmp_path.glob("sweep/**/result.json"))) == 2
     assert "2 combinations were skipped" in done.stdout.splitlines()[-3]
-    done = _swept(tmp_path / "other", cache, *cells, "cells=[suction/normal/fixed]")
+    done = _swept(tmp_path / "other", cache, *conditions, "conditions=[suction/normal/fixed]")
     assert done.returncode == 0, done.stderr[-3000:]
     assert "were skipped" not in done.stdout
     linked = list(tmp_path.glob("other/**/result.json"))
@@ -489,14 +489,14 @@ def test_a_sweep_skips_cells_that_make_no_sense_and_links_runs(tmp_path: Path, c
     result = json.loads(original.read_text())
     result["versions"]["code"] = "of yesterday"
     original.write_text(json.dumps(result))
-    done = _swept(tmp_path / "sweep", cache, *cells, "cells=[suction/normal/fixed]")
+    done = _swept(tmp_path / "sweep", cache, *conditions, "conditions=[suction/normal/fixed]")
     assert done.returncode == 0, done.stderr[-3000:]
     assert "1 runs are of another version of the code" in done.stdout
     assert json.loads(original.read_text()) == result
 
 
 def test_one_job_that_fails_does_not_end_the_others(tmp_path: Path, cache: Path) -> None:
-    cells = (
+    conditions = (
         "task=none,imagenet",
         "transfer=none,backbone",
         "model=rpn_r50_fpn",
@@ -504,7 +504,7 @@ def test_one_job_that_fails_does_not_end_the_others(tmp_path: Path, cache: Path)
         "evaluate.runs=0,1",
     )
     nowhere = {"TORCH_HOME": str(tmp_path / "torch"), "https_proxy": "http://127.0.0.1:9"}  # on any machine
-    done = _swept(tmp_path / "sweep", cache, *cells, **nowhere)
+    done = _swept(tmp_path / "sweep", cache, *conditions, **nowhere)
     assert done.returncode == 1
     assert len(list(tmp_path.glob("sweep/**/result.json"))) == 1
     assert "2 jobs FAILED" in done.stdout
@@ -514,7 +514,7 @@ def test_one_job_that_fails_does_not_end_the_others(tmp_path: Path, cache: Path)
 
 
 def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, cache: Path) -> None:
-    """Four cells, two at once; killed when the first is done. Nothing that was finished is run again."""
+    """Four conditions, two at once; killed when the first is done. Nothing that was finished is run again."""
     overrides = ("task=none", "transfer=none", "seed=0,1,2,3", "finetune.attempts=4", "hydra.launcher.n_jobs=2")
     sweep = tmp_path / "sweep"
     process = subprocess.Popen(_sweep(sweep, cache, *overrides), cwd=tmp_path, start_new_session=True)

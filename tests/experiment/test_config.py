@@ -17,7 +17,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 
 from see2act.errors import ConfigError, DamagedFile
-from see2act.experiment.checks import check_run, illegal_cell, validate
+from see2act.experiment.checks import check_run, impossible_condition, validate
 from see2act.experiment.config import composed
 from see2act.experiment.folder import alone_in, claim, refuse_foreign, set_aside
 from see2act.experiment.identity import config_hash, versions
@@ -34,10 +34,10 @@ TASKS = ("none", "edge", "corner", "center", "foreground", "normal")
 @pytest.mark.parametrize("primitive", ["suction", "grasp"])
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("transfer", ["none", "backbone", "full", "fixed"])
-def test_exactly_the_sensible_cells_are_legal(config: Callable, task: str, transfer: str, primitive: str) -> None:
+def test_exactly_the_sensible_conditions_are_possible(config: Callable, task: str, transfer: str, primitive: str) -> None:
     cfg = config(f"task={task}", f"transfer={transfer}", f"primitive={primitive}")
     legal = (task == "none") == (transfer == "none")
-    assert (illegal_cell(cfg) is None) is legal
+    assert (impossible_condition(cfg) is None) is legal
     if legal:
         validate(cfg)
     else:
@@ -159,7 +159,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("collect.primitive.end_effector.depth=abc", ["collect.primitive.end_effector.depth=abc", "must be a valid number"]),
         ("objects.name=my-parts", ["objects.name=my-parts", "letters, digits and _"]),
         ("policy.name=my-rule", ["policy.name=my-rule", "letters, digits and _"]),
-        ("cells=[suction/edge]", ["suction/edge", "primitive/task/transfer"]),
+        ("conditions=[suction/edge]", ["suction/edge", "primitive/task/transfer"]),
         ("finetune.replay.floor=0", ["finetune.replay.floor=0", "above 0"]),
         ("finetune.attempts=abc", ["finetune.attempts=abc", "could not be converted to Integer"]),
         ("experiment=smoke", ["experiment=smoke is a sweep", "add -m"]),
@@ -318,11 +318,11 @@ def test_a_sweep_of_which_no_job_ran_says_so(
         folder = tmp_path / f"seed{seed}"
         (folder / ".hydra").mkdir(parents=True)
         (folder / ".hydra" / "config.yaml").touch()
-        cfg = config("task=edge", f"seed={seed}", "cells=[suction/normal/full]")
+        cfg = config("task=edge", f"seed={seed}", "conditions=[suction/normal/full]")
         assert run_job(cfg, folder, tmp_path) is None
     with caplog.at_level("INFO"):
         summary.on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
-    assert "1 cells were left out, since the experiment does not name them: cells=[]" in caplog.text
+    assert "1 conditions were left out, since the experiment does not name them: conditions=[]" in caplog.text
     assert "suction/edge/full" in caplog.text
     assert "not one job ran" in caplog.text
     assert Summary.failures == 1
@@ -455,26 +455,26 @@ def test_a_network_that_gives_another_shape_is_refused(config: Callable, monkeyp
 
 
 def test_experiments_share_the_runs_they_have_in_common(config: Callable[..., DictConfig]) -> None:
-    cell = ("primitive=grasp", "task=foreground", "transfer=full")
-    runs = [config(f"experiment={name}", *cell) for name in ("transfer_parts", "vision_tasks")]
+    condition = ("primitive=grasp", "task=foreground", "transfer=full")
+    runs = [config(f"experiment={name}", *condition) for name in ("transfer_parts", "vision_tasks")]
     assert config_hash(runs[0]) == config_hash(runs[1])
-    assert "grasp/foreground/full" in runs[0].cells
+    assert "grasp/foreground/full" in runs[0].conditions
     assert (runs[0].finetune.attempts, runs[0].collect.interactions, runs[0].evaluate.runs) == (400, 1000, 3)
 
 
 @pytest.mark.parametrize("experiment", sorted(path.stem for path in EXPERIMENTS.glob("*.yaml")))
-def test_experiments_reach_each_of_their_cells_once(config: Callable[..., DictConfig], experiment: str) -> None:
+def test_experiments_reach_each_of_their_conditions_once(config: Callable[..., DictConfig], experiment: str) -> None:
     params = OmegaConf.load(EXPERIMENTS / f"{experiment}.yaml").hydra.sweeper.params
     met = []
     for primitive, task, transfer in itertools.product(*(params[key].split(",") for key in ("primitive", "task", "transfer"))):
         cfg = config(f"experiment={experiment}", f"primitive={primitive}", f"task={task}", f"transfer={transfer}")
-        cell = f"{cfg.primitive.name}/{task}/{transfer}"
-        if cell in (cfg.cells or [cell]) and illegal_cell(cfg) is None:
+        condition = f"{cfg.primitive.name}/{task}/{transfer}"
+        if condition in (cfg.conditions or [condition]) and impossible_condition(cfg) is None:
             validate(cfg)
-            met.append(cell)
+            met.append(condition)
     assert len(set(met)) == len(met)
-    assert set(met) == set(cfg.cells or met)
-    assert {cell.split("/")[0] for cell in met} == {name.split("_")[0] for name in params.primitive.split(",")}
+    assert set(met) == set(cfg.conditions or met)
+    assert {condition.split("/")[0] for condition in met} == {name.split("_")[0] for name in params.primitive.split(",")}
 
 
 def test_off_the_shelf_gives_each_primitive_its_real_workspace(config: Callable[..., DictConfig]) -> None:
