@@ -18,7 +18,7 @@ from see2act.analysis.commands import command
 from see2act.analysis.groups import Comparison, Found, Group
 from see2act.analysis.plots import Picture
 from see2act.analysis.runs import Run
-from see2act.analysis.summary import Row, aggregates, contrasts
+from see2act.analysis.summary import Row, aggregates, contrasts, findings
 from see2act.experiment.results import SPLITS
 from see2act.files import replacing
 
@@ -91,6 +91,7 @@ def _comparison(
         "pictures": pictures,
         "steps": sorted({step for _, cells, _ in progress for step in cells}),
         "progress": progress,
+        "findings": findings(comparison),
         "contrasts": [*contrasts(comparison, "after_unseen"), *contrasts(comparison, "learning")],
         "aggregates": aggregates(comparison),
         "specimens": [_specimen(group, folder) for group in comparison.groups],

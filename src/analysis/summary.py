@@ -259,6 +259,27 @@ def contrasts(comparison: Comparison, measure: str) -> list[Contrast]:
     return compared
 
 
+WHEN = {LEARNING: "while learning", "after_unseen": "on unseen objects after fine-tuning"}
+
+
+def findings(comparison: Comparison) -> list[str]:
+    """A sentence for each contrast whose intervals allow a conclusion, and one for the others."""
+    found = [contrast for measure in WHEN for contrast in contrasts(comparison, measure)]
+    sentences = [
+        f"{c.group.name} is {c.verdict} than {c.other.name} {WHEN[c.measure]}: success rate {float(c.difference):+.2f} "
+        f"[{float(c.difference_low):+.2f}, {float(c.difference_high):+.2f}]."
+        for c in found
+        if c.verdict in ("better", "worse")
+    ]
+    few = sum(c.verdict.startswith("too few") for c in found)
+    equal = len(found) - len(sentences) - few
+    if equal:
+        sentences.append(f"In {equal} of {len(found)} comparisons of two groups we found no significant difference.")
+    if few:
+        sentences.append(f"{few} of {len(found)} comparisons of two groups have too few seeds for a conclusion.")
+    return sentences or ["There are no two groups to compare: the baseline is task=none transfer=none."]
+
+
 def verdict(n: int, m: int, improvement: tuple[float, float], difference: tuple[float, float]) -> str:
     """What ``n`` seeds against ``m`` allow to say.
 
@@ -272,12 +293,12 @@ def verdict(n: int, m: int, improvement: tuple[float, float], difference: tuple[
     chance = 2 / math.comb(n + m, n)  # of the seeds of two equal groups to fall entirely apart, either way
     if min(n, m) < ENOUGH or chance > 0.05:
         odds = "always" if chance >= 1 else f"one time in {1 / chance:.2g}"
-        return f"too few seeds to conclude ({n} and {m}): equal groups would part entirely {odds}"
+        return f"too few seeds to conclude ({n} and {m}): equal groups would separate completely {odds}"
     if improvement[0] > 0.5 and difference[0] > 0:
         return "better"
     if improvement[1] < 0.5 and difference[1] < 0:
         return "worse"
-    return "no difference shown: an interval holds that of equal groups"
+    return "no significant difference"
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,14 @@ MakeRun = Callable[..., Path]
     ("n", "m", "improvement", "difference", "words"),
     [
         (2, 20, (1.0, 1.0), (0.1, 0.3), "too few seeds to conclude (2 and 20)"),
-        (3, 3, (1.0, 1.0), (0.1, 0.3), "equal groups would part entirely one time in 10"),
-        (1, 1, (1.0, 1.0), (0.1, 0.3), "equal groups would part entirely always"),
+        (3, 3, (1.0, 1.0), (0.1, 0.3), "equal groups would separate completely one time in 10"),
+        (1, 1, (1.0, 1.0), (0.1, 0.3), "equal groups would separate completely always"),
         (4, 4, (0.6, 1.0), (0.1, 0.3), "better"),
         (5, 5, (0.0, 0.4), (-0.3, -0.1), "worse"),
-        (5, 5, (0.4, 1.0), (0.1, 0.3), "no difference shown"),
-        (5, 5, (0.5, 1.0), (0.1, 0.3), "no difference shown"),
-        (5, 5, (0.0, 0.24), (-0.216, 0.004), "no difference shown"),
-        (5, 5, (0.6, 1.0), (0.0, 0.3), "no difference shown"),
+        (5, 5, (0.4, 1.0), (0.1, 0.3), "no significant difference"),
+        (5, 5, (0.5, 1.0), (0.1, 0.3), "no significant difference"),
+        (5, 5, (0.0, 0.24), (-0.216, 0.004), "no significant difference"),
+        (5, 5, (0.6, 1.0), (0.0, 0.3), "no significant difference"),
     ],
 )
 def test_nothing_is_concluded_from_too_little(
