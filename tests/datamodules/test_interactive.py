@@ -6,13 +6,17 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
+import lightning as L
 import numpy as np
 import pytest
+import torch
 
-from see2act.datamodules.interactive import InteractiveDataModule
+from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt, TrialAndError
 from see2act.datamodules.replay import Replay
+from see2act.modules.affordance import AttemptBatch
 from see2act.policy import Policy
 from see2act.robot.group import RobotGroup
 from see2act.robot.robot import Robot
@@ -197,3 +201,83 @@ def test_a_robot_whose_process_is_gone_ends_the_run_with_a_message() -> None:
     with pytest.raises(RobotError, match="process of a robot has ended"):
         group.call("process", {0: (), 1: ()})
     group.close()
+
+
+class Learner(L.LightningModule):
+    """A model of one number, which says in ``events`` what happens to it and when."""
+
+    def __init__(self, events: list[str]):
+        super().__init__()
+        self.bias = torch.nn.Parameter(torch.zeros(()))
+        self._events = events
+
+    def affordances(self, color: np.ndarray, height: np.ndarray) -> np.ndarray:
+        self._events.append("decide")
+        return _heights(color, height)
+
+    def training_step(self, batch: AttemptBatch, _: int) -> dict[str, torch.Tensor]:
+        self._events.append("learn")
+        error = self.bias - batch.label
+        return {"loss": (error**2).mean(), "td_error": torch.full_like(batch.label, 7.0)}
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        return torch.optim.SGD(self.parameters(), 0.1)
+
+
+@pytest.fixture
+def learned(make: Callable[..., InteractiveDataModule], tmp_path: Path) -> Callable[..., Any]:
+    """Runs the learning loop; the datamodule, what happened, and what was recorded."""
+
+    def run(attempts: int, robots: int = 1, evaluate_at: list[int] | None = None, resume: Path | None = None) -> Any:
+        data, events, recorded = make(robots), [], []
+
+        def record(attempt: TrainingAttempt, seconds: float) -> None:
+            events.append("record")
+            recorded.append(attempt)
+
+        def evaluate(step: int) -> None:
+            events.append(f"evaluate {step}")
+
+        loop = TrialAndError(data, attempts, record, tmp_path / "last.ckpt", evaluate_at or [], evaluate)
+        trainer = L.Trainer(
+            **{"max_epochs": attempts // robots, "callbacks": [loop], "accelerator": "cpu", "logger": False},
+            **{"enable_checkpointing": False, "enable_progress_bar": False, "enable_model_summary": False},
+        )
+        trainer.fit(Learner(events), datamodule=data, ckpt_path=resume, weights_only=True)
+        return data, events, recorded
+
+    return run
+
+
+def test_an_epoch_is_an_attempt_and_the_learning_steps_after_it(learned: Callable[..., Any]) -> None:
+    data, events, recorded = learned(4, evaluate_at=[2])
+    epoch = ["decide", "learn", "learn", "record"]
+    assert events == [*epoch, *epoch, "evaluate 2", *epoch, *epoch]
+    assert [attempt.step for attempt in recorded] == [1, 2, 3, 4]
+    assert len(data.replay) == data.attempts == 4
+
+
+def test_robots_decide_one_after_the_other_and_learn_together(learned: Callable[..., Any]) -> None:
+    data, events, recorded = learned(6, robots=3)
+    assert events == [*["decide"] * 3, *["learn"] * 6, *["record"] * 3] * 2
+    assert [attempt.step for attempt in recorded] == [1, 2, 3, 4, 5, 6]
+    assert [attempt.episode for attempt in recorded[:3]] == [0, 1, 2]
+    assert recorded[1].scene_seed == data.scene_seed(1)
+
+
+def test_the_td_errors_of_a_step_become_priorities(learned: Callable[..., Any]) -> None:
+    data, _, _ = learned(3)
+    assert data.replay.statistics(np.array([2]))["priority"] == pytest.approx(7.01)
+
+
+def test_a_checkpoint_is_written_when_an_episode_ends_and_learning_goes_on_from_it(
+    learned: Callable[..., Any], tmp_path: Path
+) -> None:
+    _, _, whole = learned(20)
+    kept = torch.load(tmp_path / "last.ckpt", weights_only=True)["InteractiveDataModule"]
+    last = [attempt.step for attempt, after in pairwise(whole) if attempt.episode != after.episode][-1]
+    assert kept["attempts"] == last < 20
+    data, events, rest = learned(20, resume=tmp_path / "last.ckpt")
+    assert data.attempts == 20
+    assert events.count("decide") == 20 - last
+    assert [(a.step, a.episode, a.attempt.pick) for a in rest] == [(a.step, a.episode, a.attempt.pick) for a in whole[last:]]
