@@ -63,11 +63,8 @@ def _keys(lines: list[str]) -> list[_Key]:
             continue
         indent, name, rest = len(match[1]), match[2], match[3] or ""
         path = [(depth, key) for depth, key in path if depth < indent] + [(indent, name)]
-        value, _, comment = rest.partition("  #") if "  #" in rest else (rest, "", "")
-        if not value and not comment and rest.startswith("#"):
-            value, comment = "", rest[1:]
-        if value.strip() or not rest.strip().startswith("#"):
-            found.append(_Key(".".join(key for _, key in path), value.strip(), comment.strip(" #")))
+        value, _, comment = f" {rest}".partition(" #")
+        found.append(_Key(".".join(key for _, key in path), value.strip(), comment.strip()))
     return [key for key in found if key.value and not key.name.endswith(("_target_", "_partial_", "_convert_"))]
 
 

@@ -105,7 +105,7 @@ def _words(message: str) -> str:
 
 
 def impossible_condition(cfg: DictConfig) -> str | None:
-    """Why a task and a transfer do not go together, with the mend; None where they do."""
+    """Why a task and a transfer do not go together, and what to do; None where they do."""
     task, transfer = cfg.task.name, cfg.transfer.name
     if task == "none" and transfer != "none":
         return f"task=none has nothing to transfer, so transfer={transfer} is impossible: use transfer=none, or choose a task"
@@ -138,7 +138,7 @@ def validate(cfg: DictConfig) -> None:
     """Refuse what cannot run, before any work.
 
     Raises:
-        ConfigError: With one line that names the mend.
+        ConfigError: With one line that says what to do.
     """
     check_schema(cfg)
     if reason := impossible_condition(cfg):

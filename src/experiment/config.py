@@ -96,7 +96,7 @@ class PrimitiveConfig:
     """Metres from the middle of the open tool to its ends, along the jaws and across: what needs room between the walls."""
     end_effector: dict[str, Any] = field(default_factory=dict)
     lr: NotNegative = MISSING
-    """Learning rate of fine-tuning, for every arm alike; of networks that have none of their own in ``model.rates``."""
+    """Learning rate of fine-tuning, for networks without rates of their own in ``model.rates``."""
     attempts: NotNegativeInt = MISSING
     """Fine-tuning attempts of the main job."""
     short_attempts: NotNegativeInt = MISSING

@@ -36,7 +36,7 @@ WITHOUT = ("hydra", "paths", "logger")
 
 
 class ModelFileError(UserError, ValueError):
-    """A file that is no trained model; the message is one line and names the mend."""
+    """A file that is no trained model; the message is one line and says what to do."""
 
 
 @dataclass(frozen=True)

@@ -74,17 +74,17 @@ def _print(result: RunResult, folder: Path) -> None:
 
     words = [str(result.choices[key]) for key in ("primitive", "task", "transfer")]
     table = Table(title=f"{' '.join(words)} seed {result.seed}")
-    for column in ("success rate", *(f"{split} objects" for split in SPLITS)):
-        table.add_column(column)
-    names = ("zero-shot", "after fine-tuning", "the same, plain argmax")
+    for column in ("success rate \\[95 %]", *(f"{split} objects" for split in SPLITS)):
+        table.add_column(column, no_wrap=True)
+    names = ("zero-shot", "after fine-tuning", "after, argmax")
     for name, phase in zip(names, PHASES, strict=True):
         cells = []
         for split in SPLITS:
             counts = result.phase(phase)[split]
             low, high = wilson(counts.successes, counts.attempts)
-            cells.append(f"{counts.rate:.2f}  ({counts.successes}/{counts.attempts}, 95 % {low:.2f}-{high:.2f})")
+            cells.append(f"{counts.rate:.2f} \\[{low:.2f}, {high:.2f}] {counts.successes}/{counts.attempts}")
         table.add_row(name, *cells)
-    console = Console(width=110)
+    console = Console(width=80)
     console.print(table)
     console.print(f"minutes: {sum(result.seconds.values()) / 60:.1f}", highlight=False)
     for name in ("result.json", "attempts.csv", "transfer.json", "figures", "checkpoints"):

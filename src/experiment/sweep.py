@@ -1,4 +1,4 @@
-"""What is special about jobs of a sweep: they may make no sense, be finished elsewhere, or fail without ending the others."""
+"""Jobs of a sweep: they may be impossible, be finished elsewhere, or fail without ending the others."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from see2act.files import replacing
 log = logging.getLogger("see2act")
 SKIPPED, LEFT_OUT, MISSING, FAILED, OTHER = "skipped.txt", "left_out.txt", "missing.txt", "failed.txt", "other_version.txt"
 """Notes that a job leaves in its folder: one line each."""
-TOLD = {
-    SKIPPED: "combinations were skipped, since they make no sense",
-    LEFT_OUT: "conditions were left out, since the experiment does not name them: conditions=[] runs all that make sense",
+SUMMARY = {
+    SKIPPED: "combinations were skipped, since they are impossible",
+    LEFT_OUT: "conditions were left out, since the experiment does not name them: conditions=[] runs all that are possible",
     MISSING: "jobs were skipped, since their weights are not here",
     OTHER: (
-        "runs are of another version of the code, and were not touched: to run one anew, add its primitive=, task=, transfer= "
+        "runs are of another version of the code, and were not touched: to run one again, add its primitive=, task=, transfer= "
         "and seed= to the same command, and force=true, which moves the old one aside"
     ),
     FAILED: "jobs FAILED, and run again when the same sweep is started again",
@@ -36,7 +36,7 @@ OF_CONDITIONS, NOT_RUN = (SKIPPED, LEFT_OUT), (MISSING, OTHER, FAILED)
 
 
 class Summary(Callback):
-    """Says at the end of a sweep what was not run, and why.
+    """Logs at the end of a sweep what was not run, and why.
 
     Hydra makes one for the whole sweep and one in each job.
     """
@@ -51,7 +51,7 @@ class Summary(Callback):
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         """Hydra calls this after the last job. Jobs run in processes of their own, so they leave notes."""
         folder = Path(config.hydra.sweep.dir)
-        for name, words in TOLD.items():
+        for name, words in SUMMARY.items():
             notes = [note for note in sorted(folder.rglob(name)) if note.stat().st_mtime >= self._start]
             lines = [f"{note.parent.relative_to(folder)}: {note.read_text()}" for note in notes]
             if name in OF_CONDITIONS:
@@ -62,7 +62,7 @@ class Summary(Callback):
                 Summary.failures = len(lines)
         jobs = [path.parent.parent for path in folder.rglob(".hydra/config.yaml") if path.stat().st_mtime >= self._start]
         if jobs and not any((job / name).exists() for job in jobs for name in ("run.json", "result.json", *NOT_RUN)):
-            log.error("not one job ran: none of these combinations makes sense and is a condition of the experiment")
+            log.error("not one job ran: none of these combinations is possible and a condition of the experiment")
             Summary.failures += 1
 
 
@@ -112,7 +112,7 @@ def _note(folder: Path, name: str, text: str) -> None:
 
 def _clear_notes(folder: Path) -> None:
     """Remove those of an earlier try."""
-    for name in TOLD:
+    for name in SUMMARY:
         (folder / name).unlink(missing_ok=True)
 
 
@@ -137,12 +137,12 @@ def _usable(result: Path) -> bool:
 def link(duplicate: Path, folder: Path) -> None:
     """Make everything a finished run left appear in ``folder`` too.
 
-    By hard links, which take no room and last when the other run is moved aside or deleted. What was cut short is linked anew.
+    By hard links, which take no room and last when the other run is moved aside or deleted. An interrupted link is completed.
     """
     # A result means done, so it comes after all that belongs to it; run.json alone would mean half a run.
     for path in sorted(duplicate.iterdir(), key=lambda path: (path.name == "run.json", path.name == "result.json")):
         there = folder / path.name
-        if path.name.startswith(".") or path.name in TOLD:
+        if path.name.startswith(".") or path.name in SUMMARY:
             continue
         if path.is_dir():
             shutil.copytree(path, there, copy_function=_share, dirs_exist_ok=True)
