@@ -58,7 +58,7 @@ class Picture:
 
 
 def clear(folder: Path, drawn: Iterable[Picture]) -> None:
-    """Remove figures of an earlier report which this one has not drawn anew: they may be of other runs."""
+    """Remove figures of an earlier report that this one has not drawn again: they may be of other runs."""
     kept = {picture.path.stem for picture in drawn}
     name = re.compile(rf"({'|'.join(kind for kind, *_ in FIGURES)})-[a-z0-9_]+(-\d+)?")
     for path in [*folder.glob("*.png"), *folder.glob("*.svg")]:

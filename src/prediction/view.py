@@ -33,7 +33,7 @@ LARGEST = 4e5
 
 
 class ImageError(UserError, ValueError):
-    """An image, a calibration or bounds that nothing can be predicted from; the message is one line and names the mend."""
+    """An image, a calibration or bounds that nothing can be predicted from; the message is one line and says what to do."""
 
 
 @dataclass(frozen=True)
