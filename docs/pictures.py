@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from matplotlib import colormaps
 from omegaconf import DictConfig
+
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.robot.oracle import oracle

@@ -1,4 +1,4 @@
-"""One attempt: observe, decide, act. The same code serves fine-tuning and evaluation."""
+"""One attempt: observe, decide, act. Fine-tuning and evaluation share this code."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
 from see2act.policy import Choice, Policy
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick
 from see2act.robot.workspace import Workspace
 
 Affordances = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]
-"""From colour (H, W, 3) uint8 and height (H, W) metres to logits of success."""
+"""Maps colour (H, W, 3) uint8 and height (H, W) in metres to logits of success."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """What was seen, chosen, done, and what came of it. Times are wall seconds, for information only."""
+    """One attempt: observation, choice, pick and outcome. The times are wall-clock seconds and for information only."""
 
     observation: Observation
     choice: Choice
@@ -32,7 +33,7 @@ class Attempt:
 
     @property
     def heightmap(self) -> Heightmap:
-        """The heightmap that the pick was decided on."""
+        """The heightmap on which the pick was chosen."""
         return self.observation.heightmap
 
 
@@ -43,7 +44,7 @@ def attempt(
     temperature: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Attempt:
-    """Observe, decide, act, and let the policy remember."""
+    """Observe, decide and act. The policy remembers the outcome."""
     start = time.perf_counter()
     observation = robot.observe()
     seen = time.perf_counter()
@@ -63,7 +64,7 @@ def decide(
     temperature: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> tuple[Choice, Pick]:
-    """What the policy chooses from an observation, and the pick that it means."""
+    """The policy's choice for an observation, and the corresponding pick."""
     heightmap = observation.heightmap
     logits = affordances(heightmap.color, heightmap.height)
     choice = policy.choose(logits, heightmap, temperature, rng)

@@ -1,7 +1,7 @@
-"""The same robot behind Gymnasium's door, for agents that are not ours.
+"""The robot as a Gymnasium environment, for other agents.
 
-Importing this module registers ``see2act/BinPicking-v1``; ``gymnasium.make("see2act.environment:see2act/BinPicking-v1")``
-does both.
+Importing this module registers ``see2act/BinPicking-v1``. ``gymnasium.make("see2act.environment:see2act/BinPicking-v1")``
+imports it and makes the environment.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from see2act.robot.types import Observation, Split
 
 NAME = "see2act/BinPicking-v1"
 ATTEMPTS = 25
-"""Of an episode with seen objects (paper, section IV)."""
+"""Maximum number of attempts per episode (paper, section IV, for seen objects)."""
 HEIGHTS = (-0.5, 2.0)
-"""Metres between which every height of a heightmap lies."""
+"""Bounds of the heights in an observation, metres."""
 
 
 class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
-    """A UR5 empties a bin: one step is one pick, open loop, and the reward is 1 if the robot senses that it holds something.
+    """A UR5 empties a bin. A step is one open-loop pick. The reward is 1 if the robot senses that it holds an object, else 0.
 
-    Observations are ``color`` (H, W, 3) uint8 and ``height`` (H, W) float32, metres above the floor, of the bin seen along
-    gravity. An action is (angle, row, col): the pixel to pick at, and the angle's index k, for jaws that close along
-    k / 16 of half a turn, counter-clockwise from the columns' direction; a suction cup has but one. The episode ends when
-    the bin is empty, and is cut off after 25 picks. ``info`` has ``truth``, ``cause``, ``lost`` and ``robot_seconds``.
+    An observation is the bin seen along gravity: ``color`` (H, W, 3) uint8, and ``height`` (H, W) float32 in metres above
+    the floor. An action is (angle, row, col). Row and column are the pixel to pick at. The angle is an index k: the jaws close
+    along a direction k / 16 of half a turn counter-clockwise from the image's horizontal. A suction cup has only k = 0. The
+    episode terminates when the bin is empty, and is truncated after 25 picks. ``info`` has ``truth``, ``cause``, ``lost``
+    and ``robot_seconds``.
 
     Args:
-        overrides: Configuration as for train.py: ``["primitive=grasp", "objects=household"]``.
-        split: Which objects: ``seen`` or ``unseen``. ``reset`` takes another as ``options={"split": ...}``.
+        overrides: Configuration overrides as for train.py: ``["primitive=grasp", "objects=household"]``.
+        split: Which objects to use, ``seen`` or ``unseen``; ``reset(options={"split": ...})`` changes it for one episode.
         render_mode: ``rgb_array`` for the camera's image, or None.
     """
 
@@ -64,14 +65,14 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """A new scene; the same ``seed`` gives the same scenes."""
+        """Start a new scene. The same ``seed`` gives the same sequence of scenes."""
         super().reset(seed=seed)
         split = _checked((options or {}).get("split", self._split))
         self._robot.reset(int(self.np_random.integers(2**31)), split)
         return self._observe(), {}
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """One pick.
+        """Execute one pick.
 
         Raises:
             ValueError: The action is not in the action space.
@@ -88,17 +89,17 @@ class BinPicking(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return self._observe(), float(outcome.success), self._robot.bin_empty(), False, info
 
     def render(self) -> np.ndarray | None:
-        """What the camera sees, (h, w, 3) uint8."""
+        """The camera's latest image, (h, w, 3) uint8; None without a ``render_mode``."""
         return None if self.render_mode is None or self._seen is None else self._seen.color.copy()
 
     def close(self) -> None:
-        """Give the simulator back."""
+        """Close the simulator."""
         self._robot.close()
 
     def _observe(self) -> dict[str, np.ndarray]:
         self._seen = self._robot.observe()
         heightmap = self._seen.heightmap
-        return {"color": heightmap.color.copy(), "height": heightmap.height.copy()}  # an agent may work in place
+        return {"color": heightmap.color.copy(), "height": heightmap.height.copy()}  # agents may change them
 
 
 def _checked(split: Any) -> Split:

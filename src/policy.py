@@ -1,4 +1,4 @@
-"""From affordances to a pick: the same rule for every arm of a comparison."""
+"""From affordances to a pick. All conditions of a comparison use the same rule."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from see2act.robot.types import Heightmap
 
 @dataclass(frozen=True)
 class Choice:
-    """An angle's index and a pixel, with the logit that won."""
+    """A chosen angle index and pixel, with their logit."""
 
     angle: int
     row: int
@@ -24,7 +24,7 @@ class Choice:
     logit: float
     explored: bool
     entropy: float = 0.0
-    """Nats of the distribution that it was drawn from; 0 where the best was taken."""
+    """Entropy in nats of the distribution that the choice was drawn from; 0 if the best pixel was taken."""
 
     @property
     def score(self) -> float:
@@ -36,27 +36,27 @@ class Choice:
 class _Failure:
     choice: Choice
     height: np.ndarray
-    """The patch of the heightmap around the pixel, as it was."""
+    """Heights around the pixel at the time of the failed pick."""
 
 
 @dataclass
 class Policy:
-    """Picks the best pixel; what just failed is left alone while the scene there is unchanged.
+    """Picks the best pixel, but avoids a pixel that has just failed as long as the scene there is unchanged.
 
-    A deterministic argmax repeats a failed pick for ever if the pick changed nothing. With ``suppress`` a small
-    neighbourhood of each failed pick is left out until the heights around it change or something is picked.
+    A deterministic argmax repeats a failed pick forever if the pick changed nothing. With ``suppress`` the policy avoids a
+    small neighbourhood of each failed pick until the heights around it change or a pick succeeds.
 
     Args:
         name: ``suppress`` or ``argmax``.
         suppress: Whether failures are remembered at all.
-        pixel: Metres a pixel of the heightmap.
-        radius: Metres around a failed pick that are left out.
-        angles: Neighbouring angles (to each side, of the robot's 16) that are left out with it.
-        changed_height: Metres by which a cell must change to count as changed.
-        changed_share: Share of changed cells around the pick that makes the scene there a new one.
-        changed_radius: Metres around the pick that are compared.
-        footprint: Metres from the middle of the tool to its outer ends, along the jaws and across them: all of it must have
-            room between the bin's walls (the paper plans motions free of collisions with what is known).
+        pixel: Metres per pixel of the heightmap.
+        radius: Radius around a failed pick that is avoided, metres.
+        angles: Number of neighbouring angles to each side (of the robot's 16) that are avoided too.
+        changed_height: Height difference above which a cell counts as changed, metres.
+        changed_share: Share of changed cells around the pick above which the scene there counts as changed.
+        changed_radius: Distance from the pick within which heights are compared, metres.
+        footprint: Metres from the middle of the tool to its outer ends, along the jaws and across them. The whole tool must
+            have room between the bin's walls. (The paper plans motions that avoid collisions with what is known.)
     """
 
     name: str
@@ -71,11 +71,11 @@ class Policy:
     _failures: list[_Failure] = field(default_factory=list)
 
     def plain(self) -> Policy:
-        """The plain argmax rule, without memory."""
+        """This policy as a plain argmax without memory."""
         return replace(self, name="argmax", suppress=False, _failures=[])
 
     def fresh(self) -> Policy:
-        """The same rule with an empty memory."""
+        """This policy with an empty memory."""
         return replace(self, _failures=[])
 
     def choose(
@@ -87,9 +87,8 @@ class Policy:
     ) -> Choice:
         """The best allowed pixel, or with a ``temperature`` one drawn from the softmax of scores / temperature.
 
-        Scores, not logits: where the model expects success somewhere the draw is close to the best, and where it
-        expects failure everywhere the draw is close to uniform, so that a model which has met nothing but failure
-        looks elsewhere.
+        The softmax is over scores, not logits. If the model expects success somewhere, the draw is close to the best pixel. If
+        it expects failure everywhere, the draw is close to uniform, so a model that has only seen failures tries other places.
 
         Raises:
             DivergedError: A logit is not finite.
@@ -111,14 +110,14 @@ class Policy:
         return Choice(angle, row, col, float(logits[angle, row, col]), index != best, entropy)
 
     def remember(self, choice: Choice, heightmap: Heightmap, success: bool) -> None:
-        """Take note of an attempt that was decided on ``heightmap``."""
+        """Remember the outcome of an attempt that was chosen on ``heightmap``."""
         if success:
             self._failures.clear()
         elif self.suppress:
             self._failures.append(_Failure(choice, self._patch(heightmap, choice).copy()))
 
     def forget(self) -> None:
-        """A new scene."""
+        """Clear the memory at the start of a new scene."""
         self._failures.clear()
 
     def _allowed(self, shape: tuple[int, ...], heightmap: Heightmap) -> np.ndarray:
@@ -146,11 +145,11 @@ class Policy:
 
 
 def room_between_walls(shape: tuple[int, ...], footprint: tuple[float, float], pixel: float) -> Bool[np.ndarray, "A H W"]:
-    """Where a tool, turned by each angle, stays within the heightmap: its border is where the walls stand.
+    """Where the tool, rotated by each angle, stays within the heightmap. The walls stand at the heightmap's border.
 
     Args:
-        shape: Angles (over half a turn), rows and columns.
-        footprint, pixel: As of :class:`Policy`.
+        shape: Number of angles (over half a turn), rows and columns.
+        footprint, pixel: As for :class:`Policy`.
     """
     angles, rows, cols = shape
     room = np.zeros(shape, bool)
@@ -158,7 +157,7 @@ def room_between_walls(shape: tuple[int, ...], footprint: tuple[float, float], p
     for k in range(angles):
         cosine, sine = abs(math.cos(k * math.pi / angles)), abs(math.sin(k * math.pi / angles))
         top, left = (
-            max(0, math.ceil(reach - 0.5 - 1e-6))  # a pixel's middle is at its index and a half
+            max(0, math.ceil(reach - 0.5 - 1e-6))  # the centre of a pixel is at its index plus 0.5
             for reach in (along * sine + across * cosine, along * cosine + across * sine)
         )
         room[k, top : rows - top, left : cols - left] = True

@@ -1,4 +1,4 @@
-"""Seeds by name: every generator of a run is derived from one number and a string."""
+"""Named seeds: every random generator of a run is seeded from a name and integers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 def seed_for(name: str, *keys: int) -> int:
     """A 63-bit seed that depends only on ``name`` and ``keys``.
 
-    Different names give unrelated seeds, so streams never share numbers by accident and a new stream
-    never shifts an old one.
+    Different names give unrelated seeds. So random streams are independent, and adding a stream does not change the
+    others.
     """
     text = "/".join([name, *map(str, keys)])
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 1

@@ -1,7 +1,8 @@
 """A network: five plain convolutions, dilated to see further."""
 
-from see2act.modules.network import Logits, PixelNetwork
 from torch import nn
+
+from see2act.modules.network import Logits, PixelNetwork
 
 
 class Dilated(PixelNetwork):

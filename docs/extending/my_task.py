@@ -1,6 +1,7 @@
 """A vision task: what is tall?"""
 
 import numpy as np
+
 from see2act.datamodules.labels import Task, View
 
 

@@ -1,4 +1,4 @@
-"""The robot interacts at random, and what it sees is kept (paper: random interaction)."""
+"""Collecting observations while the robot interacts at random with the bin (paper: random interaction)."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from see2act.seeding import generator, seed_for
 
 RobotFactory = Callable[[], Robot]
 SCENES_IN_A_ROW = 3
-"""Scenes that a worker makes in a row with one robot."""
+"""Scenes that a worker process collects in a row with one robot."""
 ARRAYS = ("color", "height", "valid", "clean_color", "clean_height", "clean_valid", "body")
 
 
 @dataclass(frozen=True)
 class Collection:
-    """Observations of random interaction, n of them, with the simulator's truth beside them."""
+    """n observations of random interaction, each with the simulator's truth."""
 
     arrays: dict[str, np.ndarray]
     background: Heightmap
@@ -33,7 +33,7 @@ class Collection:
         return len(self.arrays["color"])
 
     def view(self, i: int) -> View:
-        """One observation for labelling."""
+        """Observation ``i``, for labelling."""
         a = self.arrays
         return View(
             sensed=Heightmap(a["color"][i], a["height"][i], a["valid"][i]),
@@ -60,18 +60,18 @@ class Collection:
 def collect(
     make_robot: RobotFactory, interactions: int, per_scene: int, most_objects: int, seed: int, workers: int
 ) -> Collection:
-    """Observations made between random picks on seen objects.
+    """Collect observations between random picks on seen objects.
 
-    Scenes hold a random number of objects, from one to all, so that emptied bins are seen too. The outcome does
-    not depend on ``workers``: every scene follows from the seed and its own number.
+    Scenes have a random number of objects, from one to all, so that nearly empty bins are included. The result does not
+    depend on ``workers``, because the seed and the number of a scene determine everything in it.
 
     Args:
-        make_robot: Builds a robot; runs in worker processes, so it must pickle.
-        interactions: How many observations.
-        per_scene: Picks after which the bin is filled anew.
-        most_objects: Objects in a full bin.
-        seed: Of scenes and picks.
-        workers: Processes.
+        make_robot: Builds a robot. It runs in worker processes, so it must be picklable.
+        interactions: Number of observations.
+        per_scene: Picks after which the bin is refilled.
+        most_objects: Number of objects in a full bin.
+        seed: Seed of scenes and picks.
+        workers: Number of processes.
     """
     counts = [min(per_scene, interactions - done) for done in range(0, interactions, per_scene)]
     scenes = list(enumerate(counts))

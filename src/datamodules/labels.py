@@ -1,6 +1,6 @@
-"""The five vision tasks: how each labels a view of the bin (paper, section III-B).
+"""The five vision tasks: how each one labels a view of the bin (paper, section III-B).
 
-Every task labels a view from the simulator's truth (``truth``), or from what a real set-up could see (``vision``).
+Every task can make its labels from the simulator's truth (``truth``) or from what a real robot could see (``vision``).
 """
 
 from __future__ import annotations
@@ -21,56 +21,56 @@ LabelSource = Literal["truth", "vision"]
 
 @dataclass(frozen=True)
 class View:
-    """One moment in the bin: what was sensed, what was true, and the empty bin."""
+    """One observation of the bin: what was sensed, the truth, and the empty bin."""
 
     sensed: Heightmap
     clean: Heightmap
     body: np.ndarray
-    """Object identity a cell, -1 for none."""
+    """Id of the object in each cell, (H, W); -1 for none."""
     background: Heightmap
 
 
 class Task(ABC):
-    """A vision task: a label for every pixel.
+    """A vision task: a binary label for every pixel.
 
     Args:
-        pixel: Metres a pixel.
+        pixel: Metres per pixel.
     """
 
     tolerance = 0
-    """Pixels by which a prediction may miss the place of a label and still count as right."""
+    """Pixels by which a prediction may be off a label and still count as correct."""
 
     def __init__(self, pixel: float):
         self.pixel = pixel
 
     def label(self, view: View, source: LabelSource) -> Bool[np.ndarray, "H W"]:
-        """The label map by ``truth`` or by ``vision``."""
+        """The label map of a view, from ``truth`` or from ``vision``."""
         return self.truth(view) if source == "truth" else self.vision(view)
 
     @abstractmethod
     def truth(self, view: View) -> Bool[np.ndarray, "H W"]:
-        """From noise-free images and object masks."""
+        """Labels from noise-free images and object masks."""
 
     @abstractmethod
     def vision(self, view: View) -> Bool[np.ndarray, "H W"]:
-        """From what a real robot could sense."""
+        """Labels from what a real robot could sense."""
 
     def pixels(self, metres: float) -> int:
-        """A length in whole pixels, at least 1."""
+        """Convert a length to whole pixels, at least 1."""
         return max(1, round(metres / self.pixel))
 
     def window(self, metres: float) -> int:
-        """The same of a window that has a pixel in its middle: an odd number."""
+        """Convert the side of a window to pixels, an odd number so that one pixel is in the middle."""
         return self.pixels(metres) // 2 * 2 + 1
 
 
 class Edge(Task):
-    """Edges of the colour image by Canny, in any of its channels: a green object can be as bright as the grey floor.
+    """Canny edges in any channel of the colour image. (In grey, a green object can be as bright as the floor.)
 
     Args:
-        pixel: Metres a pixel.
-        low, high: Canny's hysteresis thresholds, of 3 x 3 Sobel sums: 8 times the grey levels a pixel.
-        blur: Standard deviation of the Gaussian before it, pixels.
+        pixel: Metres per pixel.
+        low, high: Canny's hysteresis thresholds, of 3 x 3 Sobel sums: 8 times the change in grey levels per pixel.
+        blur: Standard deviation of the Gaussian that is applied first, pixels.
     """
 
     tolerance = 2
@@ -91,14 +91,14 @@ class Edge(Task):
 
 
 class Corner(Task):
-    """Corners of the colour image by Harris, in any of its channels, as discs.
+    """Harris corners in any channel of the colour image, as discs.
 
     Args:
-        pixel: Metres a pixel.
-        window: Metres of the neighbourhood whose gradients are compared.
-        k: Harris' constant.
-        threshold: Share of the image's strongest response that still counts.
-        radius: Metres of the disc around each corner.
+        pixel: Metres per pixel.
+        window: Side of the neighbourhood whose gradients are compared, metres.
+        k: Harris's constant.
+        threshold: Smallest response that counts, as a share of the image's strongest response.
+        radius: Radius of the disc around each corner, metres.
     """
 
     tolerance = 2
@@ -125,10 +125,10 @@ class Foreground(Task):
     """Object or background.
 
     Args:
-        pixel: Metres a pixel.
-        height: Metres above the empty bin that are an object.
-        color: Distance in RGB (0..255) to the empty bin that is an object, where the height says nothing.
-        opening: Metres; specks smaller than this are noise.
+        pixel: Metres per pixel.
+        height: Metres above the empty bin from which a pixel counts as object.
+        color: RGB distance (channels 0..255) to the empty bin from which a pixel counts as object, whatever its height.
+        opening: Specks smaller than this are removed as noise, metres.
     """
 
     def __init__(self, pixel: float, height: float, color: float, opening: float):
@@ -141,7 +141,7 @@ class Foreground(Task):
     def vision(self, view: View) -> np.ndarray:
         higher = view.sensed.height - view.background.height > self._height
         difference = view.sensed.color.astype(float) - view.background.color
-        # Where one of the two views is hidden its colour is made up, and only the height can tell.
+        # Colours of pixels that one of the two views does not show are filled in, so only the height counts there.
         seen = view.sensed.valid & view.background.valid
         painted = (np.linalg.norm(difference, axis=-1) > self._color) & seen
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (self.window(self._opening),) * 2)
@@ -149,13 +149,13 @@ class Foreground(Task):
 
 
 class Center(Task):
-    """Object centres, as discs: the middle of each mask, or of each connected piece of foreground.
+    """Object centres, as discs: the middle of each object mask (``truth``) or connected piece of foreground (``vision``).
 
     Args:
-        pixel: Metres a pixel.
-        radius: Metres of the disc.
-        smallest: Square metres below which a piece is no object.
-        foreground: How ``vision`` finds the pieces.
+        pixel: Metres per pixel.
+        radius: Radius of the disc, metres.
+        smallest: Area in square metres below which a piece does not count as an object.
+        foreground: Finds the foreground for ``vision``.
     """
 
     tolerance = 2
@@ -180,15 +180,15 @@ class Center(Task):
 
 
 class Normal(Task):
-    """Flat surface of an object that faces up, against gravity.
+    """Flat surfaces of objects that face up, against gravity.
 
     Args:
-        pixel: Metres a pixel.
-        window: Metres of the neighbourhood that a plane is fitted to.
-        tilt: Largest angle of the plane's normal from the vertical, radians.
-        roughness: Largest root mean square distance from the plane, metres, on noise-free depth.
-        sensed_roughness: The same on sensed depth, whose noise comes on top.
-        foreground: How ``vision`` leaves the bin's floor out, which is flat and faces up but is no object.
+        pixel: Metres per pixel.
+        window: Side of the neighbourhood that a plane is fitted to, metres.
+        tilt: Largest angle between the plane's normal and the vertical, radians.
+        roughness: Largest root mean square distance from the plane on noise-free depth, metres.
+        sensed_roughness: Largest root mean square distance from the plane on sensed depth, which has noise, metres.
+        foreground: Excludes the bin's floor, which is flat and faces up but is not an object.
     """
 
     def __init__(
@@ -211,15 +211,16 @@ class Normal(Task):
 
 
 def plane_fit(height: Float[np.ndarray, "H W"], pixel: float, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares planes around every pixel.
+    """Fit a least-squares plane around every pixel.
 
     Args:
         height: Metres.
-        pixel: Metres a pixel.
-        radius: Pixels; the neighbourhood is a square of side 2 radius + 1.
+        pixel: Metres per pixel.
+        radius: Pixels. The neighbourhood is a square with sides of 2 radius + 1.
 
     Returns:
-        Angle of each plane's normal from the vertical in radians, and root mean square distance in metres.
+        The angle between each plane's normal and the vertical in radians, and the root mean square distance from the plane in
+        metres.
     """
     offsets = np.arange(-radius, radius + 1) * pixel
     n = len(offsets) ** 2
@@ -234,7 +235,7 @@ def plane_fit(height: Float[np.ndarray, "H W"], pixel: float, radius: int) -> tu
 
 
 def discs(centres: np.ndarray, shape: tuple[int, ...], radius: int) -> Bool[np.ndarray, "H W"]:
-    """A map that is True within ``radius`` pixels of any of the (n, 2) rows and columns."""
+    """A map that is True within ``radius`` pixels of any of the ``centres``, (n, 2) rows and columns."""
     label = np.zeros(shape, np.uint8)
     for row, col in centres:
         cv2.circle(label, (int(col), int(row)), radius, 1, thickness=-1)

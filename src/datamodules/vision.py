@@ -1,4 +1,4 @@
-"""Collected observations and their labels, for pre-training."""
+"""Data for pre-training: collected observations and their labels."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from see2act.modules.vision import VisionBatch
 
 
 class VisionDataModule(L.LightningDataModule):
-    """Heightmaps as sensed, with labels from the simulator's truth or from vision.
+    """Sensed heightmaps with label maps.
 
     Args:
         collection: Observations of random interaction.
         task: Makes the labels.
-        label_source: ``truth`` or ``vision``.
+        label_source: ``truth`` for labels from the simulator, ``vision`` for labels from what a real robot could see.
         batch_size: Heightmaps per step.
-        validation: Share of the observations, the last ones, kept out of training.
-        seed: Of the order of batches.
+        validation: Share of the observations that is kept out of training; these are the last ones.
+        seed: Seed of the order of the training data.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class VisionDataModule(L.LightningDataModule):
         """Share of positive pixels over all observations."""
         tensors = [torch.from_numpy(a) for a in (collection.arrays["color"], collection.arrays["height"], labels)]
         self._train = TensorDataset(*[t[:-held_out] for t in tensors])
-        # A copy, since memory that is shared twice cannot be handed to other processes (trainer=ddp).
+        # A copy, because two tensors that share memory cannot be passed to other processes (trainer=ddp).
         self._validation = TensorDataset(*[t[-held_out:].clone() for t in tensors])
 
     def train_dataloader(self) -> DataLoader:
@@ -57,14 +57,17 @@ class VisionDataModule(L.LightningDataModule):
 
 
 def channel_statistics(collection: Collection) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of R, G, B in 0..1 and height in metres, over all observations; 1 for a constant channel."""
+    """Mean and standard deviation over all observations, of R, G and B in 0..1 and height in metres.
+
+    The standard deviation of a constant channel is set to 1.
+    """
     mean, square = np.zeros(4), np.zeros(4)
-    for color, height in zip(collection.arrays["color"], collection.arrays["height"], strict=True):  # one by one: they are many
+    for color, height in zip(collection.arrays["color"], collection.arrays["height"], strict=True):  # one by one saves memory
         pixels = np.dstack([color / 255, height]).reshape(-1, 4)
         mean += pixels.mean(axis=0) / len(collection)
         square += (pixels**2).mean(axis=0) / len(collection)
     variance = square - mean**2
-    std = np.sqrt(np.where(variance > 1e-12, variance, 1))  # of a constant channel, rounding leaves anything, even less than 0
+    std = np.sqrt(np.where(variance > 1e-12, variance, 1))  # rounding can make that of a constant channel negative
     return torch.tensor(mean, dtype=torch.float32), torch.tensor(std, dtype=torch.float32)
 
 

@@ -1,1 +1,1 @@
-"""Networks and how they learn. torch only: nothing here knows a robot."""
+"""Networks and their training. This package uses torch and does not depend on the robot."""

@@ -1,4 +1,4 @@
-"""Learning to act: the probability that a pick succeeds, at every pixel and angle."""
+"""Learning to act: the probability that a pick succeeds, for every pixel and angle."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from see2act.modules.rotation import Rotations
 
 
 class Augmentation(NamedTuple):
-    """How each heightmap of a batch is varied about the executed pixel."""
+    """How each heightmap of a batch is augmented around the executed pixel."""
 
     mirror: Bool[Tensor, "B 2"]
     """Whether rows and columns are reversed."""
     rotation: Float[Tensor, " B"]
-    """Radians."""
+    """Rotation about the executed pixel, radians."""
     shift: Float[Tensor, "B 2"]
-    """Pixels, along rows and columns."""
+    """Shift along rows and columns, pixels."""
     mixtures: Float[Tensor, "B 3 4"]
-    """Of colour channels: see :func:`see2act.modules.color_jitter.mixed`."""
+    """Colour jitter: mixtures of colour channels for :func:`see2act.modules.color_jitter.mixed`."""
 
 
 class AttemptBatch(NamedTuple):
-    """Attempts to learn from: what was seen, where the robot tried, and whether it succeeded."""
+    """Attempts to learn from: the heightmap, the executed pick, and whether it succeeded."""
 
     color: UInt8[Tensor, "B H W 3"]
     height: Float[Tensor, "B H W"]
@@ -46,17 +46,17 @@ class AttemptBatch(NamedTuple):
     weight: Float[Tensor, " B"]
     """Importance weights, at most 1."""
     replay_index: Int[Tensor, " B"]
-    """Of the attempts in the replay."""
+    """Indices of the attempts in the replay."""
     augmentation: Augmentation | None = None
-    """None leaves heightmaps as they are."""
+    """None leaves the heightmaps as they are."""
 
 
 def affordances(
     network: PixelNetwork, rotations: Rotations, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]
 ) -> Float[np.ndarray, "A H W"]:
-    """Logits of success for every angle at every pixel of a heightmap, with the network's statistics as they are.
+    """Logits of success for every angle and pixel of a heightmap. The network's mode is not changed.
 
-    Computed where the network is; ``rotations`` must be there too.
+    Computed on the device of the network. ``rotations`` must be on the same device.
     """
     heightmap = (torch.from_numpy(array)[None].to(network.device) for array in (color, height))
     maps: np.ndarray = turned_logits(network, rotations, *heightmap).cpu().numpy()
@@ -67,7 +67,7 @@ def affordances(
 def turned_logits(
     network: PixelNetwork, rotations: Rotations, color: UInt8[Tensor, "1 H W 3"], height: Float[Tensor, "1 H W"]
 ) -> Float[Tensor, "A H W"]:
-    """The same of tensors, on their device."""
+    """Like :func:`affordances`, for tensors on the network's device."""
     x = network.prepare(color, height)
     maps = torch.empty(rotations.count, *rotations.shape, device=x.device)
     for canvas, angles in rotations.by_canvas(network.together):
@@ -76,18 +76,18 @@ def turned_logits(
 
 
 class AffordanceModule(L.LightningModule):
-    """A network that learns from the single pixel where the robot tried.
+    """Trains a network on the single pixel where the robot picked.
 
     Args:
-        network: The shared architecture, after the transfer.
+        network: The network, after the transfer.
         shape: Rows and columns of the heightmaps.
-        angles: Rotations to consider: 16 for grasping, 1 for suction.
+        angles: Number of rotations: 16 for grasping, 1 for suction.
         backbone_lr: Adam's learning rate of the backbone.
         head_lr: Adam's learning rate of the head.
-        weight_decay: Adam's.
-        batchnorm: ``frozen`` keeps running statistics, ``batch`` uses those of each replay batch.
-        averaging: Decay per learning step of the moving average of parameters and BatchNorm statistics. The average acts and
-            is evaluated, since single pixels make noisy gradients. 0 acts with the last parameters.
+        weight_decay: Weight decay of Adam.
+        batchnorm: ``frozen`` uses the running statistics; ``batch`` uses those of each replay batch.
+        averaging: Decay per learning step of the moving average of parameters and BatchNorm statistics. The averaged network
+            acts and is evaluated, because the gradients of single pixels are noisy. 0 uses the latest parameters.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class AffordanceModule(L.LightningModule):
 
     @property
     def acting(self) -> PixelNetwork:
-        """The network that decides: the average, once there was a learning step."""
+        """The network that decides: the averaged one, after the first learning step."""
         return cast(PixelNetwork, self.average.module) if self.average.n_averaged else self.network
 
     def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
@@ -126,7 +126,7 @@ class AffordanceModule(L.LightningModule):
         return maps
 
     def training_step(self, batch: AttemptBatch, _: int) -> dict[str, Tensor]:
-        """Binary cross-entropy at the executed pixels, weighted by importance; with it |prediction - label| of each."""
+        """Binary cross-entropy at the executed pixels, weighted by importance, and the TD errors |prediction - label|."""
         logits = self.executed_logits(batch)
         losses = F.binary_cross_entropy_with_logits(logits, batch.label, reduction="none")
         loss = (losses * batch.weight).mean()
@@ -137,10 +137,10 @@ class AffordanceModule(L.LightningModule):
         self.average.update_parameters(self.network)
 
     def executed_logits(self, batch: AttemptBatch) -> Float[Tensor, " B"]:
-        """Logits at the executed pixels only; all others have zero loss (paper, section III-C).
+        """Logits at the executed pixels. All other pixels have zero loss (paper, section III-C).
 
-        With frozen statistics the network runs on the window that the pixel depends on, which gives the same
-        numbers. Statistics of the batch depend on every pixel, so there the largest canvas is used.
+        With frozen BatchNorm the network runs only on the window that the pixel depends on, which gives the same numbers.
+        Batch statistics depend on every pixel, so they need the whole of the largest canvas.
         """
         varied = batch.augmentation
         x = self.network.prepare(mixed(batch.color, varied.mixtures) if varied else batch.color, batch.height)
@@ -166,7 +166,7 @@ class AffordanceModule(L.LightningModule):
 
 
 def _mirrored(x: Tensor, row: Tensor, col: Tensor, mirror: Bool[Tensor, "B 2"]) -> tuple[Tensor, Tensor, Tensor]:
-    """Inputs (B, 4, h, w) with rows, columns or both in reverse order, and the pixels in them."""
+    """Inputs (B, 4, h, w) with rows, columns or both in reverse order, and the mirrored positions of the pixels."""
     upside_down, left_right = mirror.T
     x = torch.where(upside_down[:, None, None, None], x.flip(2), x)
     x = torch.where(left_right[:, None, None, None], x.flip(3), x)

@@ -1,4 +1,4 @@
-"""How good a vision model is at its task."""
+"""The measure of how good a vision model is at its task."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from jaxtyping import Bool, Float
 
 
 def average_precision(scores: Float[np.ndarray, "n H W"], labels: Bool[np.ndarray, "n H W"], tolerance: int = 0) -> float:
-    """Area under precision over recall of all pixels together, with a tolerance for where a label lies.
+    """Average precision over all pixels: the area under the precision-recall curve, with a tolerance for positions.
 
-    A pixel counts as right within ``tolerance`` pixels of a label, and a label as found by the best score within
-    ``tolerance`` pixels. Without a tolerance this is the usual average precision.
+    A prediction is correct if it is within ``tolerance`` pixels of a label. The score of a label is the highest score within
+    ``tolerance`` pixels of it. Without a tolerance this is the usual average precision.
 
     Raises:
-        ValueError: There is no label.
+        ValueError: No pixel is labelled.
     """
     if not labels.any():
         raise ValueError("average precision needs at least one label")
@@ -26,5 +26,5 @@ def average_precision(scores: Float[np.ndarray, "n H W"], labels: Bool[np.ndarra
     found = np.stack([cv2.dilate(score, disc, borderValue=-math.inf) for score in scores.astype(np.float32)])[labels]
     order = np.argsort(-scores, axis=None)
     descending, hits = scores.ravel()[order], np.cumsum(right[order])
-    count = np.searchsorted(-descending, -found, side="right")  # pixels that score at least as much
+    count = np.searchsorted(-descending, -found, side="right")  # pixels with at least this score
     return float((hits[count - 1] / count).mean())

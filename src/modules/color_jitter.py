@@ -8,9 +8,10 @@ from torch import Tensor
 
 
 def random_mixtures(count: int, strength: float, generator: torch.Generator) -> Float[Tensor, "B 3 4"]:
-    """Random mixtures of channels for :func:`mixed`: in any order, up to ``strength`` stronger or weaker, lighter or darker.
+    """Random mixtures of channels for :func:`mixed`. The channels are shuffled, scaled by 1 +- ``strength`` at most, and
+    brightened or darkened by ``strength`` / 2 of white at most.
 
-    A ``strength`` of 0 gives mixtures that leave colours as they are, and draws nothing from the generator.
+    A ``strength`` of 0 leaves colours as they are, and draws nothing from the generator.
     """
     mixtures = torch.eye(3, 4).repeat(count, 1, 1)
     if strength:
@@ -22,6 +23,6 @@ def random_mixtures(count: int, strength: float, generator: torch.Generator) -> 
 
 
 def mixed(color: UInt8[Tensor, "B H W 3"], mixtures: Float[Tensor, "B 3 4"]) -> UInt8[Tensor, "B H W 3"]:
-    """Each output channel is a weighted sum of R, G, B and white (255)."""
+    """Mix channels: each output channel is a weighted sum of R, G, B and white (255)."""
     weighted = torch.einsum("bhwc,bkc->bhwk", color.float(), mixtures[:, :, :3]) + 255 * mixtures[:, None, None, :, 3]
     return weighted.round().clamp(0, 255).to(torch.uint8)

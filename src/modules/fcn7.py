@@ -1,4 +1,4 @@
-"""The network of the simulation experiments: TossingBot's 7-layer residual FCN (Zeng et al. 2019)."""
+"""The network of the paper's simulation experiments: TossingBot's 7-layer residual FCN (Zeng et al. 2019)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from see2act.modules.network import Count, Logits, PixelNetwork, crop
 
 
 class Residual(nn.Module):
-    """Two 3x3 convolutions and a shortcut; the resolution stays, (B, in, H, W) -> (B, out, H, W)."""
+    """Two 3x3 convolutions and a shortcut, (B, in, H, W) -> (B, out, H, W)."""
 
     def __init__(self, channels_in: int, channels_out: int):
         super().__init__()
@@ -30,7 +30,7 @@ class Residual(nn.Module):
 
 
 class FCN7(PixelNetwork):
-    """Backbone of seven 3x3 convolutions at stride 4, and the head that brings its features back to a heatmap.
+    """A backbone of seven 3x3 convolutions with stride 4, and a head that upsamples its features to a heatmap.
 
     Args:
         width: Channels of the first layer; the paper's network has 64.
@@ -52,7 +52,7 @@ class FCN7(PixelNetwork):
             Residual(4 * width, 2 * width),
             nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False),
             Residual(2 * width, width),
-            Logits(width, 1, 1),  # before the last enlargement, which gives the same and enlarges one channel instead of all
+            Logits(width, 1, 1),  # before the last upsampling: the result is the same, and only one channel is upsampled
             nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False),
         )
         super().__init__(backbone, head, stride=4, reach=48)
@@ -64,23 +64,23 @@ class FCN7(PixelNetwork):
         last.start_unsure()
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
-        """The logit of one pixel of each input, with fixed statistics: every block sees no more than it depends on.
+        """The logit of one pixel of each input, with fixed BatchNorm statistics. Each block runs only on what it depends on.
 
-        A window that ends at an edge of the input ends there for every layer, so that the padding is the same.
+        A window that ends at an edge of the input ends there in every layer, so the padding is the same.
         """
         x = self.entering(x)
         stride, coarsest = 1, False
         with self.autocast():
             for layer, reach in self._reaches():
                 coarsest |= stride == self.stride
-                if coarsest and isinstance(layer, Residual):  # before, a crop would shift which pixels are pooled together
+                if coarsest and isinstance(layer, Residual):  # an earlier crop would change which pixels are pooled
                     x, row, col = crop(x, row, col, stride, reach)
                 x = layer(x)
                 stride = {nn.MaxPool2d: stride * 2, nn.Upsample: stride // 2}.get(type(layer), stride)
         return x[torch.arange(len(x), device=x.device), 0, row, col].float()
 
     def _reaches(self) -> list[tuple[nn.Module, int]]:
-        """Every layer with how many of its inputs, to each side, a logit depends on."""
+        """Every layer, with the receptive-field radius of a logit in that layer's input."""
         reaches, reach = [], 0
         for layer in reversed([*self.backbone.children(), *self.head.children()]):
             match layer:

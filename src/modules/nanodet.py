@@ -1,25 +1,26 @@
-"""A small one-stage detector as a heatmap: NanoDet-g of github.com/RangiLyu/nanodet."""
+"""A small one-stage detector that gives a heatmap: NanoDet-g of github.com/RangiLyu/nanodet."""
 
 from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
-from see2act.modules.batchnorm import BatchNorm
-from see2act.modules.network import Logits, PixelNetwork, check_input, crop, magnified
 from torch import Tensor, nn
 
+from see2act.modules.batchnorm import BatchNorm
+from see2act.modules.network import Logits, PixelNetwork, check_input, crop, magnified
+
 CLASSES = 80
-"""Of COCO."""
+"""Number of classes in COCO."""
 STRIDE = 8
-"""Of the pyramid's finest level."""
+"""Stride of the pyramid's finest level."""
 COARSEST = 32
 """Stride of the coarsest feature map."""
 PYRAMID_CHANNELS = 128
 REACH = 2
-"""Features of the finest level, to each side, that a logit depends on after the pyramid: a convolution and an enlargement."""
+"""Receptive-field radius of a logit after the pyramid, in features of the finest level: a convolution and an upsampling."""
 SLOPE = 0.1
-"""Of every LeakyReLU."""
+"""Negative slope of every LeakyReLU."""
 
 
 class Convolution(nn.Module):
@@ -32,13 +33,13 @@ class Convolution(nn.Module):
         nn.init.kaiming_normal_(self.conv.weight, a=SLOPE, nonlinearity="leaky_relu")
 
     def forward(self, x: Float[Tensor, "B c H W"], beside: Tensor | None = None) -> Float[Tensor, "B d h w"]:
-        """``beside`` (B, d, h, w) is added to what the convolution gives."""
+        """``beside`` (B, d, h, w) is added to the output of the convolution."""
         y = self.conv(x)
         return F.leaky_relu(self.bn(y if beside is None else y + beside), SLOPE)
 
 
 class Pair(nn.Module):
-    """Two convolutions of half the channels each, one after the other, side by side: the shape stays."""
+    """Two convolutions in sequence with half of the channels each; their outputs are concatenated. The shape stays the same."""
 
     def __init__(self, channels: int):
         super().__init__()
@@ -67,12 +68,12 @@ class Stage(nn.Module):
 class Backbone(nn.Module):
     """RGB-D to the finest level of a feature pyramid, (B, 4, H, W) -> (B, 128, scale H / 8, scale W / 8).
 
-    The modules have upstream's names. The depth enters through ``depth``, a convolution beside the first one whose result
-    is added to it, which weights that never saw depth make zero.
+    The modules have upstream's names. The depth enters through a separate convolution, ``depth``, whose output is added to
+    that of the first one. It is set to zero for weights that never saw depth.
 
     Args:
-        scale: By how much the input is enlarged before.
-        depth: ``early`` adds the depth at the first convolution, ``none`` leaves it out.
+        scale: Factor by which the input is enlarged first.
+        depth: ``early`` adds the depth at the first convolution; ``none`` leaves it out.
     """
 
     def __init__(self, scale: int, depth: str):
@@ -110,10 +111,10 @@ def _lateral(channels: int) -> nn.Conv2d:
 
 
 class Head(nn.Module):
-    """Scores of all classes at each place of the finest level; the highest, at every pixel of the input.
+    """Scores of all classes at each feature of the finest level. The highest one, upsampled to the input's size, is the logit.
 
     Args:
-        scale: Of the input's enlargement, which is undone.
+        scale: Factor by which the input was enlarged; the output is as large as the input before that.
     """
 
     def __init__(self, scale: int):
@@ -121,36 +122,37 @@ class Head(nn.Module):
         self.factor = STRIDE / scale
         self.conv = Convolution(PYRAMID_CHANNELS, PYRAMID_CHANNELS)
         self.logits = Logits(PYRAMID_CHANNELS, CLASSES, 1)
-        self.logits.start_unsure()  # the highest of 80 follows the length of the features all the same: docs/differences.md, 8
+        self.logits.start_unsure()  # the highest of 80 still grows with the length of the features: docs/differences.md, 8
 
     def forward(self, x: Float[Tensor, "B 128 h w"]) -> Float[Tensor, "B 1 H W"]:
         return enlarged(self.logits(self.conv(x)).amax(1, keepdim=True), self.factor)
 
 
 def enlarged(x: Float[Tensor, "B C h w"], factor: float) -> Float[Tensor, "B C H W"]:
-    """Bilinear. The detector learned that the feature j stands for the pixels around ``factor`` (j + 0.5)."""
+    """Bilinear upsampling. In this detector feature j is centred on the pixel ``factor`` (j + 0.5)."""
     return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
 
 
 class NanoDet(PixelNetwork):
-    """NanoDet-g's classification of its finest level as a heatmap: 3.5 million parameters.
+    """The class scores of NanoDet-g's finest level as a heatmap. It has 3.5 million parameters.
 
     Args:
-        scale: By how much the input is enlarged before: 1, 2 or 4. The detector learned from objects of 16 px and more.
-        depth: How the depth enters: ``early`` or ``none``.
+        scale: Factor by which the input is enlarged first: 1, 2 or 4. The detector was trained on objects of 16 px and more.
+        depth: How the depth enters the network: ``early`` or ``none``.
 
     Raises:
-        ValueError: There is no such ``scale`` or ``depth``.
+        ValueError: ``scale`` or ``depth`` is unknown.
     """
 
     def __init__(self, scale: int = 2, depth: str = "early"):
         check_input(depth, scale)
-        # It could see 420 px to each side; nine tenths of a logit's gradient lie within 140 (both enlarged).
+        # The receptive field reaches 420 px to each side; nine tenths of a logit's gradient lie within 140 px (both of the
+        # enlarged input).
         super().__init__(Backbone(scale, depth), Head(scale), stride=COARSEST // scale, reach=-(-424 // scale))
         self.scale = scale
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
-        """The logit of one pixel of each input: the head sees no more than it depends on."""
+        """The logit of one pixel of each input. The head runs only on the features that the logit depends on."""
         with self.autocast():
             features = self.backbone(self.entering(x))
             features, row, col = crop(features, row, col, STRIDE // self.scale, REACH)

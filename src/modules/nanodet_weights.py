@@ -1,4 +1,4 @@
-"""NanoDet-g's COCO weights, from upstream's checkpoints and from TensorFlow.js, in the keys of our network."""
+"""NanoDet-g's COCO weights, from upstream's checkpoints or from TensorFlow.js, converted to the keys of our network."""
 
 from __future__ import annotations
 
@@ -16,30 +16,32 @@ from see2act.modules import weights
 from see2act.modules.nanodet import CLASSES, NanoDet
 
 FILE = Path("weights", "nanodet_g_coco.safetensors")
-"""In the cache, where ``make coco`` puts it."""
+"""Path in the cache to which ``make coco`` writes the weights."""
 BGR_MEAN, BGR_STD = (103.53, 116.28, 123.675), (57.375, 57.12, 58.395)
-"""Of its training images, 0..255: those of ImageNet, of the channels in OpenCV's order."""
+"""Mean and standard deviation of its training images, 0..255. They are ImageNet's, with the channels in OpenCV's order."""
 UPSTREAM_EPSILON = 1e-5
+"""Epsilon of upstream's BatchNorm."""
 PREFIXES = ("avg_model.", "model.", "module.", "")
-"""Of the keys of a checkpoint: averaged weights, which upstream evaluates, first."""
+"""Prefixes of the keys of a checkpoint, in order of preference. Averaged weights come first, as upstream evaluates those."""
 RENAMED = (
     (re.compile(r"^fpn\.lateral_convs\.(\d)\.conv\."), r"backbone.laterals.\1."),
     (re.compile(r"^head\.cls_convs\.0\.0\."), "head.conv."),
     (re.compile(r"^head\.gfl_cls\.0\."), "head.logits."),
 )
-"""Upstream's keys of what we have, the backbone aside, which has the same; of the three levels the first has stride 8."""
+"""Upstream's keys and ours, where they differ; the keys of the backbone do not. The first of upstream's three levels has
+stride 8."""
 
 
 @dataclass(frozen=True)
 class NanoDetWeights:
-    """Where NanoDet-g's weights come from: a file that is given, or what ``make coco`` left in the cache."""
+    """Reads NanoDet-g's weights from a given file, or from the cache, where ``make coco`` puts them."""
 
     def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
-        """As of :class:`see2act.modules.weights.OffTheShelf`: a :class:`NanoDet` without its depth.
+        """See :class:`see2act.modules.weights.OffTheShelf`. The state is of a :class:`NanoDet` without depth.
 
         Args:
-            file: Upstream's checkpoint, or one in our keys.
-            cache: Of the project.
+            file: Upstream's checkpoint, or a file with our keys.
+            cache: Cache folder of the project.
         """
         path = Path(file) if file else cache / FILE
         if not file and not path.exists():
@@ -52,10 +54,10 @@ class NanoDetWeights:
 
 
 def from_upstream(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """From a checkpoint of github.com/RangiLyu/nanodet: BatchNorm stays BatchNorm, box and other levels' scores go.
+    """Convert a checkpoint of github.com/RangiLyu/nanodet. BatchNorm is kept; boxes and the scores of other levels are dropped.
 
     Raises:
-        TransferError: It is another network.
+        TransferError: The checkpoint is of another network.
     """
     prefix = next(p for p in PREFIXES if any(key.startswith(f"{p}backbone.") for key in state) or not p)
     ours: dict[str, Tensor] = {}
@@ -71,19 +73,19 @@ def from_upstream(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def from_tfjs(graph: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
-    """From the weights of its TensorFlow.js graph, in which each BatchNorm is folded into the convolution before it.
+    """Convert the weights of its TensorFlow.js graph, in which each BatchNorm is folded into the convolution before it.
 
-    So here a BatchNorm does no more than add the bias.
+    So in the converted network each BatchNorm only adds the bias.
 
     Args:
-        graph: Weights by name, as :func:`see2act.modules.tfjs.read` gives them.
+        graph: Weights by name, as returned by :func:`see2act.modules.tfjs.read`.
 
     Raises:
-        TransferError: It is another network.
+        TransferError: The graph is of another network.
     """
     state: dict[str, Tensor] = {}
     for n, name in enumerate(_convolutions()):
-        # Before the biases of the heads the graph numbers two constants more.
+        # The graph has two more numbered constants before the biases of the heads.
         kernel, bias = f"PartitionedCall/split{f'_{n}' if n else ''}", f"unknown_{2 * n + 4 * name.startswith('head.')}"
         if kernel not in graph or bias not in graph or graph[kernel].ndim != 4:
             raise TransferError(f"the graph has no {kernel} or no {bias}: bring NanoDet-g's, no other NanoDet fits")
@@ -100,7 +102,7 @@ def from_tfjs(graph: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
 
 
 def _convolutions() -> list[str]:
-    """Names of all convolutions in the order in which the graph has them."""
+    """Names of all convolutions in the order of the graph."""
     return [key.removesuffix(".weight") for key, value in _expected().items() if value.ndim == 4]
 
 
@@ -110,7 +112,7 @@ def _expected() -> dict[str, Tensor]:
 
 
 def _checked(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """What a network of ours needs of a state in its keys, which takes BGR and also has scores of boxes."""
+    """The part of a state that our network needs. Converts the input from BGR to RGB and drops the box predictions."""
     expected = _expected()
     for part in ("weight", "bias"):
         if (name := f"head.logits.{part}") in state:

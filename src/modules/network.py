@@ -1,4 +1,4 @@
-"""The architecture that vision and affordance models share: normalise, backbone, head."""
+"""The architecture that vision and affordance models share: normalisation, backbone, head."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from torch import Tensor, nn
 Count = Annotated[int, Ge(1)]
 PRECISIONS = ("fp32", "bf16")
 DEPTHS = ("early", "none")
-"""How the depth may enter networks that others trained on RGB: at the first convolution, or not at all."""
+"""How the depth can enter networks that others trained on RGB: at the first convolution, or not at all."""
 SCALES = (1, 2, 4)
-"""By how much networks of a coarse stride may enlarge their input."""
+"""Factors by which networks with a coarse stride can enlarge their input."""
 TOGETHER = {"fp32": 2, "bf16": 4}
-"""Heightmaps that go through a network at once on a processor: more of them no longer fit its cache."""
+"""Heightmaps per forward pass on a CPU, by precision. More of them would no longer fit into its cache."""
 
 
 class Normalization(nn.Module):
     """Statistics of the four input channels (R, G, B in 0..1, height in metres).
 
-    They belong to the source model, are saved in its checkpoint and carried along by every transfer. ``mean`` and ``std``
-    (4,) are of the data that it learned from. ``average`` (4,) is of heightmaps: the pixel that stands for whatever is
-    beyond one's border. They differ only in weights that others trained on photographs, to which the mean of those, laid
-    around a turned heightmap, would be an edge.
+    They belong to the source model, are saved in its checkpoint, and are copied by every transfer. ``mean`` and ``std`` (4,)
+    are those of the model's training data. ``average`` (4,) is the average pixel of heightmaps, which fills the space beyond
+    their border. ``average`` differs from ``mean`` only for weights that others trained on photographs: around a rotated
+    heightmap, the mean of photographs would look like an edge.
     """
 
     mean: Tensor
@@ -41,37 +41,37 @@ class Normalization(nn.Module):
         self.register_buffer("average", torch.zeros(4))
 
     def set(self, mean: Float[Tensor, "4"], std: Float[Tensor, "4"]) -> None:
-        """Take over statistics that were measured on heightmaps."""
+        """Set statistics that were measured on heightmaps."""
         self.mean.copy_(mean)
         self.std.copy_(std)
         self.average.copy_(mean)
 
     def centred(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 4 H W"]:
-        """In the network's units, and zero where a pixel is average."""
+        """Input scaled by ``std`` and shifted so that the average pixel is zero."""
         return (x - self.average[:, None, None]) / self.std[:, None, None]
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 4 H W"]:
-        """From :meth:`centred` to what the network learned to see: zero where a pixel is the mean."""
+        """Convert the output of :meth:`centred` to the normalisation of the training data, where ``mean`` is zero."""
         return x + ((self.average - self.mean) / self.std)[:, None, None]
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *others: Any) -> None:
-        # Models that were saved before there was an average learned from heightmaps.
+        # Models from before ``average`` existed were trained on heightmaps, so their mean is the average.
         if f"{prefix}mean" in state_dict:
             state_dict.setdefault(f"{prefix}average", state_dict[f"{prefix}mean"])
         super()._load_from_state_dict(state_dict, prefix, *others)
 
 
 class PixelNetwork(nn.Module):
-    """RGB-D heightmap in, one logit a pixel out.
+    """RGB-D heightmap in, one logit per pixel out.
 
-    A subclass, or whoever builds one, provides ``backbone`` (B, 4, H, W) -> features and ``head`` features ->
-    (B, 1, H, W). Everything a transfer can copy lives under one of those two names.
+    A subclass or the caller provides ``backbone``, (B, 4, H, W) -> features, and ``head``, features -> (B, 1, H, W).
+    A transfer can copy only what is in one of these two.
 
     Args:
         backbone: Feature extractor.
         head: Prediction layers, a :class:`Logits` among them.
-        stride: Input sides are padded to multiples of this.
-        reach: Pixels around a logit that can influence it, on each side.
+        stride: The sides of the input are padded to multiples of this, pixels.
+        reach: Receptive-field radius of a logit, pixels.
     """
 
     def __init__(self, backbone: nn.Module, head: nn.Module, stride: int, reach: int):
@@ -85,13 +85,13 @@ class PixelNetwork(nn.Module):
         self._layout = torch.contiguous_format
 
     def set_precision(self, precision: str) -> None:
-        """Lay weights and inputs out as convolutions on a CPU like them best, and choose what they compute in.
+        """Set the precision of computation, and use the memory layout in which convolutions are fastest on a CPU.
 
         Args:
-            precision: ``fp32``, or ``bf16`` for bfloat16 in all but the logits; parameters stay in single precision.
+            precision: ``fp32``, or ``bf16`` for bfloat16 except in the logits. Parameters stay in single precision.
 
         Raises:
-            ValueError: There is no such precision.
+            ValueError: ``precision`` is unknown.
         """
         if precision not in PRECISIONS:
             raise ValueError(f"precision={precision} is unknown: choose one of {', '.join(PRECISIONS)}")
@@ -101,38 +101,39 @@ class PixelNetwork(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where it computes."""
+        """The device of the parameters."""
         return self.normalization.mean.device
 
     @property
     def together(self) -> int:
-        """Heightmaps that go through it at once: as many as it computes fastest, and all that there are on an accelerator."""
+        """Heightmaps per forward pass: the fastest number on a CPU, or 16 (all rotations of a heightmap) on an accelerator."""
         return TOGETHER[self._precision] if self.device.type == "cpu" else 16
 
     def prepare(self, color: UInt8[Tensor, "B H W 3"], height: Float[Tensor, "B H W"]) -> Float[Tensor, "B 4 H W"]:
-        """What is turned, cut and padded before the network sees it; zero is the average pixel, which padding looks like."""
+        """Network input before rotation, cropping and padding. Padding with zeros looks like average pixels."""
         rgb = color.permute(0, 3, 1, 2).to(height.dtype) / 255
         return self.normalization.centred(torch.cat([rgb, height[:, None]], dim=1))
 
     @torch.no_grad()
     def scale_logits(self, factor: float) -> None:
-        """Make predictions less sure (a factor below 1), the best staying the best: temperature scaling (Guo et al. 2017)."""
+        """Scale all logits (temperature scaling, Guo et al. 2017). A factor below 1 makes predictions less confident and keeps
+        their order."""
         for layer in self.head.modules():
             if isinstance(layer, Logits):
                 for parameter in layer.parameters():
                     parameter.mul_(factor)
 
     def autocast(self) -> torch.autocast:
-        """Computes in the precision that was chosen."""
+        """A context that computes in the chosen precision."""
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self._precision == "bf16")
 
     def entering(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 4 H W"]:
-        """Prepared input as the backbone takes it."""
+        """Prepared input, normalised and laid out for the backbone."""
         normalized: Tensor = self.normalization(x)
         return normalized.contiguous(memory_format=self._layout)
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 1 H W"]:
-        """Logits of prepared input, which may be of any size."""
+        """Logits of prepared input of any size."""
         rows, cols = x.shape[2:]
         x = F.pad(x, (0, -cols % self.stride, 0, -rows % self.stride))
         with self.autocast():
@@ -141,7 +142,7 @@ class PixelNetwork(nn.Module):
 
     @torch.no_grad()
     def scores(self, color: UInt8[np.ndarray, "n H W 3"], height: Float[np.ndarray, "n H W"]) -> Float[np.ndarray, "n H W"]:
-        """Probabilities for every pixel of many heightmaps, with fixed statistics."""
+        """Probabilities for every pixel of many heightmaps, with fixed BatchNorm statistics."""
         training = self.training
         self.eval()
         parts = zip(*(torch.from_numpy(array).split(self.together) for array in (color, height)), strict=True)
@@ -156,10 +157,10 @@ class PixelNetwork(nn.Module):
 
 
 def check_input(depth: str, scale: int = 1) -> None:
-    """Refuse a way for the depth to enter, or an enlargement, that no network has.
+    """Check ``model.depth`` and ``model.scale``.
 
     Raises:
-        ValueError: With the key of the configuration.
+        ValueError: One of them is unknown. The message names the configuration key.
     """
     if scale not in SCALES:
         raise ValueError(f"model.scale={scale} is unknown: choose one of {', '.join(map(str, SCALES))}")
@@ -168,10 +169,11 @@ def check_input(depth: str, scale: int = 1) -> None:
 
 
 class Logits(nn.Conv2d):
-    """The last convolution, in its parameters' precision: in bfloat16 large logits are equal, and ties go to the upper left."""
+    """The last convolution, computed in the precision of its parameters. In bfloat16 many large logits would be equal, and the
+    argmax would pick the upper left one of them."""
 
     def start_unsure(self) -> None:
-        """Begin near "I do not know": every pixel has a probability of about a half, and its outputs are nearly alike."""
+        """Initialise so that every pixel has a probability of about 0.5 and all outputs are nearly equal."""
         nn.init.normal_(self.weight, std=0.01)
         assert self.bias is not None
         nn.init.zeros_(self.bias)
@@ -182,23 +184,23 @@ class Logits(nn.Conv2d):
 
 
 def magnified(x: Float[Tensor, "B C h w"], scale: int) -> Float[Tensor, "B C H W"]:
-    """Input enlarged by one of ``SCALES``, bicubic."""
+    """Input enlarged bicubically by one of ``SCALES``."""
     return x if scale == 1 else F.interpolate(x, scale_factor=float(scale), mode="bicubic", align_corners=False)
 
 
 def crop(
     x: Float[Tensor, "B C h w"], row: Int[Tensor, " B"], col: Int[Tensor, " B"], stride: int, reach: int
 ) -> tuple[Float[Tensor, "B C k k"], Int[Tensor, " B"], Int[Tensor, " B"]]:
-    """The part of each feature map that lies within ``reach`` of a pixel, and never beyond the map.
+    """The part of each feature map within ``reach`` of a pixel; at a border the part is moved to stay on the map.
 
     Args:
         x: Features.
-        row, col: The pixels, counted at full resolution.
-        stride: Of the features.
-        reach: In features, to each side.
+        row, col: The pixels, at full resolution.
+        stride: Stride of the features.
+        reach: Number of features to each side.
 
     Returns:
-        The parts, and each pixel's row and column in its part, at full resolution.
+        The parts, and the row and column of each pixel in its part, at full resolution.
     """
     size = [min(2 * reach + 1, n) for n in x.shape[2:]]
     top, left = ((at // stride - reach).clamp(0, n - k) for at, n, k in zip((row, col), x.shape[2:], size, strict=True))

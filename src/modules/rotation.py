@@ -1,4 +1,4 @@
-"""Turning heightmaps, so that every grasp becomes a horizontal one (paper, section III-C)."""
+"""Rotation of heightmaps, so that every grasp becomes horizontal (paper, section III-C)."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from torch import Tensor, nn
 def sampling_grid(
     angles: Float[Tensor, " B"], shape: tuple[int, int], canvas: tuple[int, int], offset: Float[Tensor, "B 2"] | None = None
 ) -> Float[Tensor, "B h w 2"]:
-    """Where each pixel of a turned canvas comes from, in ``grid_sample``'s coordinates (``align_corners=False``).
+    """The source position of each pixel of a rotated canvas, in the coordinates of ``grid_sample`` (``align_corners=False``).
 
     A direction at ``angle`` in the world (counter-clockwise from above; rows grow towards -y) becomes horizontal
-    on the canvas. Centres coincide, but for ``offset``.
+    on the canvas. The centres of source and canvas coincide, except for ``offset``.
 
     Args:
         angles: Radians.
         shape: Rows and columns of the source.
         canvas: Rows and columns of the result.
-        offset: Rows and columns by which each canvas' centre is moved on the turned image.
+        offset: Rows and columns by which the centre of each canvas is moved on the rotated image.
     """
     here = angles.device
     rows = torch.arange(canvas[0], dtype=torch.float32, device=here) - (canvas[0] - 1) / 2
@@ -37,7 +37,7 @@ def sampling_grid(
 
 
 def warp(x: Float[Tensor, "B C H W"], grid: Float[Tensor, "B h w 2"]) -> Float[Tensor, "B C h w"]:
-    """Resample prepared input: colour bilinear, height (the last channel) nearest, zeros outside."""
+    """Resample prepared input: bilinear for colour, nearest for height (the last channel), zeros outside."""
     color = F.grid_sample(x[:, :-1], grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     return torch.cat([color, warp_nearest(x[:, -1:], grid)], dim=1)
 
@@ -48,17 +48,17 @@ def warp_nearest(x: Float[Tensor, "B C H W"], grid: Float[Tensor, "B h w 2"]) ->
 
 
 class Rotations(nn.Module):
-    """A fixed set of turns of heightmaps of one shape, with the way back to their pixels.
+    """A fixed set of rotations of heightmaps of one shape, and their inverses.
 
-    A turned heightmap lies on a canvas that holds all of it. The canvas of an angle is no larger than that needs, if the
-    network's reach leaves room for a window on each of them; else all angles share the largest.
-    Its tables are buffers, which follow the network from device to device and are in no checkpoint.
+    A rotated heightmap lies on a canvas that contains all of it. Each angle has the smallest such canvas, if the window of the
+    network's receptive field fits on all of them; otherwise all angles share the largest one.
+    The lookup tables are buffers, so they move to other devices with the module. Checkpoints do not contain them.
 
     Args:
         shape: Rows and columns of the heightmap.
-        count: Angles over half a turn; 1 leaves the heightmap as it is.
-        stride: The sides of a canvas are multiples of this.
-        reach: Pixels around a logit that can influence it, on each side.
+        count: Number of angles over half a turn; 1 leaves the heightmap as it is.
+        stride: The sides of a canvas are multiples of this, pixels.
+        reach: Receptive-field radius of a logit, pixels.
     """
 
     angles: Tensor
@@ -76,11 +76,11 @@ class Rotations(nn.Module):
         canvases = [_canvas(shape, k * math.pi / count, stride) for k in range(count)]
         self.largest = (max(height for height, _ in canvases), max(width for _, width in canvases))
         self._side = math.ceil((2 * reach + stride) / stride) * stride
-        """Of a window that holds what a logit depends on, wherever its pixel is within the stride."""
+        """Side of a window that contains everything a logit depends on, wherever its pixel is relative to the stride."""
         self._reach = reach
         own = self._side <= min(min(canvas) for canvas in canvases)
         self.canvases = canvases if own else [self.largest] * count
-        """Rows and columns, by angle."""
+        """Rows and columns of the canvas, by angle."""
         centres = torch.stack([_centre(shape, canvas) for canvas in self.canvases])
         rows, cols = _forward_index(shape, self.canvases, angles, centres)
         tables = {"angles": angles, "_extents": torch.tensor(self.canvases), "_centres": centres, "_rows": rows, "_cols": cols}
@@ -88,7 +88,7 @@ class Rotations(nn.Module):
             self.register_buffer(name, table, persistent=False)
 
     def by_canvas(self, most: int) -> Iterator[tuple[tuple[int, int], Int[Tensor, " n"]]]:
-        """All angles, as indices, at most so many at once, those of one canvas together."""
+        """Indices of all angles with their canvas, in groups of at most ``most`` that share a canvas."""
         for canvas in dict.fromkeys(self.canvases):
             some = [k for k, other in enumerate(self.canvases) if other == canvas]
             for angles in torch.tensor(some, device=self.angles.device).split(most):
@@ -97,20 +97,20 @@ class Rotations(nn.Module):
     def turned(
         self, x: Float[Tensor, "B 4 H W"], angle: Int[Tensor, " B"], canvas: tuple[int, int] | None = None
     ) -> Float[Tensor, "B 4 h w"]:
-        """Each heightmap under its own angle, on the largest canvas or a smaller one."""
+        """Rotate each heightmap by its own angle, onto ``canvas`` or the largest one."""
         canvas = canvas or self.largest
-        # The heightmap's centre is not the canvas' own where a side is odd: that lies half a pixel beside it.
+        # If a side is odd, the heightmap's centre is half a pixel off the canvas' centre.
         beside = (torch.tensor(canvas) - 1) / 2 - _centre(self.shape, canvas)
         grid = sampling_grid(self.angles[angle], self.shape, canvas, beside.to(x.device).expand(len(angle), 2))
         return warp(x.expand(len(angle), -1, -1, -1), grid)
 
     def back(self, maps: Float[Tensor, "B 1 h w"], angle: Int[Tensor, " B"]) -> Float[Tensor, "B H W"]:
-        """Values of turned maps, each on the canvas of its angle, at the pixels of the original heightmap."""
+        """Values of rotated maps, each on the canvas of its angle, at the pixels of the original heightmap."""
         index = torch.arange(len(angle), device=maps.device)[:, None, None]
         return maps[index, 0, self._rows[angle], self._cols[angle]]
 
     def locate(self, angle: Int[Tensor, " B"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> tuple[Tensor, Tensor]:
-        """Row and column of pixels of the heightmap on the canvas of their angle."""
+        """Row and column, on the canvas of the angle, of pixels of the heightmap."""
         return self._rows[angle, row, col], self._cols[angle, row, col]
 
     def window(
@@ -123,18 +123,18 @@ class Rotations(nn.Module):
         shift: Float[Tensor, "B 2"] | None = None,
         whole: bool = False,
     ) -> tuple[Float[Tensor, "B 4 k k"], Tensor, Tensor]:
-        """The part of each turned heightmap that its pixel's logit depends on.
+        """The part of each rotated heightmap that the logit of its pixel depends on.
 
-        The window is aligned to the stride and stays on the canvas, so a network whose statistics are fixed gives
+        The window is aligned to the stride and stays on the canvas, so a network with fixed BatchNorm statistics gives
         the same logit, and the same gradient, as on the whole canvas.
 
         Args:
             x: Prepared input.
-            angle: Its index.
+            angle: Index of the angle.
             row, col: The pixel on the heightmap.
-            turn: Radians by which the canvas is turned further, about the pixel.
-            shift: Rows and columns of the canvas by which what is beside the pixel is taken for it.
-            whole: All of the largest canvas instead.
+            turn: Further rotation of the canvas about the pixel, radians.
+            shift: Shift of the content, rows and columns of the canvas; the point that far from the pixel moves to it.
+            whole: Return the whole of the largest canvas instead.
 
         Returns:
             Windows, and the pixel's row and column within each.
@@ -159,7 +159,10 @@ class Rotations(nn.Module):
     def _grid_about(
         self, pixel: Tensor, corner: Tensor, size: tuple[int, int], angle: Tensor, turn: Tensor
     ) -> Float[Tensor, "B h w 2"]:
-        """Of windows of ``size``, turned about their ``pixel``, whose ``corner`` is so far from the heightmap's centre."""
+        """Sampling grid of windows of ``size``, rotated by ``turn`` about their ``pixel``.
+
+        ``corner`` is the position of the window's corner relative to the heightmap's centre, rows and columns.
+        """
         within = pixel - (torch.tensor(size, device=pixel.device) - 1) / 2
         v, u = (pixel + corner).T
         c, s = torch.cos(turn), torch.sin(turn)
@@ -168,23 +171,23 @@ class Rotations(nn.Module):
 
 
 def _canvas(shape: tuple[int, int], angle: float, stride: int) -> tuple[int, int]:
-    """Rows and columns that hold a heightmap under an angle."""
+    """Rows and columns of the smallest canvas that contains a heightmap rotated by an angle."""
     c, s = abs(math.cos(angle)), abs(math.sin(angle))
     sides = shape[0] * c + shape[1] * s, shape[1] * c + shape[0] * s
-    # What is a multiple but for rounding is not enlarged.
+    # A side that is a multiple of the stride except for rounding errors is not enlarged.
     height, width = (math.ceil(round(side / stride, 6)) * stride for side in sides)
     return height, width
 
 
 def _centre(shape: tuple[int, int], canvas: tuple[int, int]) -> Float[Tensor, "2"]:
-    """Row and column of the heightmap's centre on a canvas, such that an angle of 0 moves it by whole pixels."""
+    """Row and column of the heightmap's centre on a canvas. They are chosen so that an angle of 0 shifts it by whole pixels."""
     return torch.tensor([(n - 1) / 2 + (side - n) // 2 for n, side in zip(shape, canvas, strict=True)])
 
 
 def _forward_index(
     shape: tuple[int, int], canvases: list[tuple[int, int]], angles: Float[Tensor, " A"], centres: Float[Tensor, "A 2"]
 ) -> tuple[Int[Tensor, "A H W"], Int[Tensor, "A H W"]]:
-    """Row and column on the canvas of its angle of each pixel of the heightmap."""
+    """Row and column of each pixel of the heightmap on the canvas of each angle."""
     v = torch.arange(shape[0])[None, :, None] - (shape[0] - 1) / 2
     u = torch.arange(shape[1])[None, None, :] - (shape[1] - 1) / 2
     c, s = torch.cos(angles)[:, None, None], torch.sin(angles)[:, None, None]

@@ -1,4 +1,4 @@
-"""The network of the real-robot experiments: a region proposal network on a backbone with feature pyramid."""
+"""The network of the paper's real-robot experiments: a region proposal network on a backbone with a feature pyramid."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from see2act.modules.network import Count, Logits, PixelNetwork, check_input, cr
 
 FPN_CHANNELS = 256
 REACH = 3
-"""Features of the pyramid's finest level, to each side, that a logit depends on after it: two convolutions, an enlargement."""
+"""Receptive-field radius of a logit after the pyramid, in features of the finest level: two convolutions and an upsampling."""
 COARSEST = 32
 """Stride of the coarsest feature map."""
 MOBILENET = "mobilenet_v3_large"
@@ -26,16 +26,16 @@ MOBILENET = "mobilenet_v3_large"
 class DetectorBackbone(nn.Module):
     """RGB-D to the finest level of a feature pyramid, (B, 4, H, W) -> (B, 256, H / stride, W / stride).
 
-    ``body`` and ``fpn`` are torchvision's, key by key. The depth enters through ``depth``, a convolution beside the first one
-    whose result is added to it: the same as a fourth input channel, with the keys of the other three untouched. It starts
-    like the first one; weights that never saw depth make it zero (``copy_parts``).
+    ``body`` and ``fpn`` have the same keys as in torchvision. The depth enters through a separate convolution, ``depth``, whose
+    output is added to that of the first one. This equals a fourth input channel, but leaves the keys of the other three as
+    they are. It is initialised like the first one, and set to zero for weights that never saw depth (``copy_parts``).
 
     Args:
         name: resnet18, resnet34, resnet50, ..., or mobilenet_v3_large.
-        depth: ``early`` adds the depth at the first convolution, ``none`` leaves it out.
+        depth: ``early`` adds the depth at the first convolution; ``none`` leaves it out.
 
     Raises:
-        ValueError: There is no such ``depth``, or no such backbone.
+        ValueError: ``depth`` or the backbone is unknown.
     """
 
     def __init__(self, name: str, depth: str):
@@ -52,13 +52,13 @@ class DetectorBackbone(nn.Module):
         size, stride, padding = (int(n[0]) for n in (first.kernel_size, first.stride, first.padding))
         self.depth = nn.Conv2d(1, first.out_channels, size, stride, padding, bias=False) if depth == "early" else None
         if self.depth is not None:
-            nn.init.kaiming_normal_(self.depth.weight, mode="fan_out", nonlinearity="relu")  # as torchvision's
+            nn.init.kaiming_normal_(self.depth.weight, mode="fan_out", nonlinearity="relu")  # as in torchvision
 
     def forward(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 256 h w"]:
         return self.smoothed(self.merged(x))
 
     def merged(self, x: Float[Tensor, "B 4 H W"]) -> Float[Tensor, "B 256 h w"]:
-        """Of the pyramid's finest level, all but its last convolution; of the others, no more than that needs."""
+        """The pyramid's finest level before its last convolution. Of the other levels, only what this needs is computed."""
         features = []
         (_, first), *others = self.body.items()
         convolution, *rest = first if isinstance(first, nn.Sequential) else [first]
@@ -79,32 +79,32 @@ class DetectorBackbone(nn.Module):
         return down
 
     def smoothed(self, merged: Float[Tensor, "B 256 h w"]) -> Float[Tensor, "B 256 h w"]:
-        """The finest level, from what :meth:`merged` gives."""
+        """The last convolution of the finest level, applied to the output of :meth:`merged`."""
         finest: Tensor = self.fpn.layer_blocks[0](merged)
         return finest
 
 
 def _resnet(name: str) -> BackboneWithFPN:
-    """All four stages, as in torchvision's detectors."""
+    """A pyramid on all four stages, as in torchvision's detectors."""
     body = getattr(torchvision.models, name)(weights=None, norm_layer=BatchNorm)
     stages = [body.inplanes // 8 * 2**i for i in range(4)]
     return BackboneWithFPN(body, {f"layer{i + 1}": str(i) for i in range(4)}, stages, FPN_CHANNELS)
 
 
 def _mobilenet() -> BackboneWithFPN:
-    """The last two stages, both of stride 32, as in ``fasterrcnn_mobilenet_v3_large_fpn``."""
+    """A pyramid on the last two stages, both of stride 32, as in ``fasterrcnn_mobilenet_v3_large_fpn``."""
     body = torchvision.models.mobilenet_v3_large(weights=None, norm_layer=BatchNorm).features
     return BackboneWithFPN(body, {"13": "0", "16": "1"}, [160, 960], FPN_CHANNELS)
 
 
 class ObjectnessHead(RPNHead):
-    """torchvision's RPN head; the objectness of the anchors at a place, max-pooled into one logit and brought to input size.
+    """torchvision's RPN head. The objectness of all anchors at a location is max-pooled into one logit and upsampled.
 
-    ``bbox_pred`` is carried along with the weights and not used.
+    ``bbox_pred`` is kept, so that weights can be loaded, but not used.
 
     Args:
-        anchors: Anchors at a place.
-        stride: Of the features.
+        anchors: Number of anchors per location.
+        stride: Stride of the features.
     """
 
     def __init__(self, anchors: int, stride: int):
@@ -120,10 +120,10 @@ class ObjectnessHead(RPNHead):
 
 
 def enlarged(x: Float[Tensor, "B C h w"], stride: int) -> Float[Tensor, "B C H W"]:
-    """Features at every pixel, bilinear between their centres.
+    """Upsample features to pixels, bilinearly between the features' centres.
 
-    The centre of feature j is pixel ``stride`` j: convolutions with stride are padded so that the first pixel is their
-    first centre. (``align_corners=False`` would take it for ``stride`` (j + 0.5) - 0.5.)
+    Feature j is centred on the pixel ``stride`` j, because strided convolutions are padded so that their first centre is the
+    first pixel. (With ``align_corners=False`` it would be ``stride`` (j + 0.5) - 0.5.)
     """
     h, w = x.shape[2:]
     x = F.pad(x, (0, 1, 0, 1), mode="replicate")
@@ -131,22 +131,22 @@ def enlarged(x: Float[Tensor, "B C h w"], stride: int) -> Float[Tensor, "B C H W
 
 
 class RPN(PixelNetwork):
-    """Region proposals as a heatmap.
+    """A region proposal network whose objectness is the heatmap.
 
     Args:
-        backbone: A torchvision ResNet by name, or mobilenet_v3_large.
-        anchors: Anchors at a place; None: as torchvision's detector of this backbone has, 3 or 15.
-        depth: How the depth enters: ``early`` or ``none``.
+        backbone: Name of a torchvision ResNet, or mobilenet_v3_large.
+        anchors: Number of anchors per location; None for that of torchvision's detector with this backbone, 3 or 15.
+        depth: How the depth enters the network: ``early`` or ``none``.
     """
 
     def __init__(self, backbone: str = "resnet50", anchors: Count | None = None, depth: str = "early"):
-        # The stem, four stages and the pyramid see some 500 px to each side: all of any heightmap here.
+        # The stem, four stages and the pyramid see about 500 px to each side, which covers every heightmap here.
         features = DetectorBackbone(backbone, depth)
         head = ObjectnessHead(anchors or features.anchors, features.stride)
         super().__init__(features, head, stride=COARSEST, reach=512)
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
-        """The logit of one pixel of each input: the widest convolutions, at the end, see no more than it depends on."""
+        """The logit of one pixel of each input. The widest convolutions, at the end, run only on what the logit depends on."""
         backbone = cast(DetectorBackbone, self.backbone)
         with self.autocast():
             merged = backbone.merged(self.entering(x))

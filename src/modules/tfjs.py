@@ -1,4 +1,4 @@
-"""Weights of TensorFlow.js graph models: a JSON that lists them, and a file beside it that holds them."""
+"""Weights of TensorFlow.js graph models: a JSON file that lists them, and binary files next to it that contain them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ DTYPES = {"float32": "<f4", "float16": "<f2", "int32": "<i4"}
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
-    """Weights by name, in single precision whatever they are kept in; kernels are (height, width, in, out).
+    """Weights by name, converted to single precision. Kernels are (height, width, in, out).
 
     Args:
-        path: The JSON.
+        path: The JSON file.
 
     Raises:
-        TransferError: It is no such model, or a file of its weights is missing, cut short, or kept in a way unknown here.
+        TransferError: The file is not such a model, or a weight file is missing, truncated, or of an unsupported type.
     """
     try:
         groups = json.loads(path.read_bytes())["weightsManifest"]

@@ -1,4 +1,4 @@
-"""Any backbone of timm that gives feature maps, under a small feature pyramid: github.com/huggingface/pytorch-image-models."""
+"""A feature pyramid on any backbone of timm that gives feature maps: github.com/huggingface/pytorch-image-models."""
 
 from __future__ import annotations
 
@@ -11,29 +11,31 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from see2act.modules.network import Logits, PixelNetwork, check_input, magnified
 from torch import Tensor, nn
 
+from see2act.modules.network import Logits, PixelNetwork, check_input, magnified
+
 CHANNELS = 128
-"""Of the pyramid and of the head."""
+"""Channels of the pyramid and of the head."""
 FINEST = 4
 """Stride of the finest feature map that is used, and of the head's logits."""
 REACH = 512
-"""Pixels; the deepest backbones see more, transformers see everything, and no heightmap here is larger."""
+"""Receptive-field radius in pixels. The deepest backbones see further, and transformers see everything, but no heightmap here
+is larger."""
 
 
 class TimmFPN(PixelNetwork):
-    """RGB-D through a backbone by name, a pyramid and a head like an RPN's.
+    """A timm backbone, a feature pyramid and a head like that of an RPN, for RGB-D input.
 
     Args:
-        backbone: A name of ``timm.list_models()`` that has feature maps: resnet18, convnext_atto, tf_efficientnet_lite0,
+        backbone: A model of ``timm.list_models()`` with feature maps: resnet18, convnext_atto, tf_efficientnet_lite0,
             vit_small_patch14_dinov2, ...
-        depth: How the depth enters: ``early``, as the fourth channel of the first layer, or ``none``.
-        scale: By how much the input is enlarged before.
+        depth: How the depth enters the network: ``early``, as the fourth channel of the first layer, or ``none``.
+        scale: Factor by which the input is enlarged first.
 
     Raises:
-        ValueError: timm is not installed, has no such backbone, or it has no feature maps of inputs of any size; or there is
-            no such ``depth`` or ``scale``.
+        ValueError: timm is not installed or has no such backbone; the backbone gives no feature maps for inputs of any size;
+            or ``depth`` or ``scale`` is unknown.
     """
 
     def __init__(self, backbone: str = "resnet18", depth: str = "early", scale: int = 1):
@@ -48,14 +50,15 @@ class TimmFPN(PixelNetwork):
 class Backbone(nn.Module):
     """RGB-D to the finest level of a feature pyramid, (B, 4, H, W) -> (B, 128, scale H / s, scale W / s).
 
-    A feature j of stride s is centred on the pixel s j where convolutions overlap (ResNets, EfficientNets), and on the middle
-    of the patch j of s pixels where they do not (ConvNeXt, transformers). Overlapping convolutions get one more row and
-    column, so that those of TensorFlow's padding are centred as well, and the maps have one more of each.
+    Feature j of stride s is centred on the pixel s j if the convolutions overlap (ResNets, EfficientNets), and on the middle
+    of the j-th patch of s pixels if they do not (ConvNeXt, transformers). For overlapping convolutions the input is padded by
+    one row and one column, so that features are centred like this with TensorFlow's padding too. Their feature maps then
+    also have one more row and column.
 
     Args:
-        name: Of a timm model.
+        name: Name of a timm model.
         depth: ``early`` or ``none``.
-        scale: By how much the input is enlarged before.
+        scale: Factor by which the input is enlarged first.
     """
 
     def __init__(self, name: str, depth: str, scale: int):
@@ -79,11 +82,11 @@ class Backbone(nn.Module):
 
 
 class Pyramid(nn.Module):
-    """Adds feature maps of all levels at the finest (Lin et al. 2017); those of a plain transformer are of one size.
+    """Sums the feature maps of all levels at the finest one (Lin et al. 2017). In a plain transformer all maps have one size.
 
     Args:
-        channels: Of the maps, the finest first.
-        overlap: Where features are centred: see :class:`Backbone`.
+        channels: Channels of the feature maps, the finest first.
+        overlap: Where features are centred; see :class:`Backbone`.
     """
 
     def __init__(self, channels: Sequence[int], overlap: bool):
@@ -101,12 +104,12 @@ class Pyramid(nn.Module):
 
 
 class Head(nn.Module):
-    """Features to one logit a pixel: 3x3 convolutions, between them as many enlargements by two as bring the stride to 4.
+    """Features to one logit per pixel: 3x3 convolutions, with upsampling by two between them until the stride is 4 at most.
 
     Args:
-        stride: Of the features.
-        scale: Of the input's enlargement, which is undone.
-        overlap: Where features are centred: see :class:`Backbone`.
+        stride: Stride of the features.
+        scale: Factor by which the input was enlarged; the output is as large as the input before that.
+        overlap: Where features are centred; see :class:`Backbone`.
     """
 
     def __init__(self, stride: float, scale: int, overlap: bool):
@@ -131,7 +134,7 @@ class Head(nn.Module):
 
 
 def resized(x: Float[Tensor, "B C h w"], size: Sequence[int], overlap: bool) -> Float[Tensor, "B C H W"]:
-    """Bilinear, about where features are centred: see :class:`Backbone`."""
+    """Bilinear resampling that keeps features centred; see :class:`Backbone`."""
     return F.interpolate(x, size=tuple(size), mode="bilinear", align_corners=overlap)
 
 
@@ -142,10 +145,10 @@ def _convolution() -> nn.Sequential:
 
 
 def library() -> Any:
-    """timm, which is an extra and takes seconds to import.
+    """The module timm, which is an optional dependency and takes seconds to import.
 
     Raises:
-        ValueError: It is not installed.
+        ValueError: timm is not installed.
     """
     try:
         return import_module("timm")
@@ -154,16 +157,16 @@ def library() -> Any:
 
 
 def timm_body(name: str, channels_in: int, **weights: object) -> tuple[Any, bool]:
-    """A backbone that gives a list of feature maps, with random parameters if ``weights`` do not say otherwise.
+    """A backbone that gives a list of feature maps. Its parameters are random unless ``weights`` says otherwise.
 
     Args:
-        name: A timm model.
-        channels_in: Of its input.
-        weights: For ``timm.create_model``: where pretrained parameters come from.
+        name: Name of a timm model.
+        channels_in: Channels of its input.
+        weights: Arguments of ``timm.create_model`` that say where pretrained parameters come from.
 
     Returns:
-        A module whose ``feature_info`` says strides and channels of the maps, and whether their channels come last (as
-        those of Swin do).
+        The module, whose ``feature_info`` has the strides and channels of the maps; and whether the channels are the last
+        dimension of the maps, as in Swin.
 
     Raises:
         ValueError: As for :class:`TimmFPN`.
@@ -177,7 +180,7 @@ def timm_body(name: str, channels_in: int, **weights: object) -> tuple[Any, bool
     try:
         with torch.device("meta"):
             channels_last = _channels_come_last(build(), channels_in)
-    except Exception as error:  # whatever hundreds of models raise
+    except Exception as error:  # hundreds of models may raise anything
         reason = " ".join(str(error).split())[:120]
         raise ValueError(
             f"model.backbone={name} gives no feature maps of inputs of any size ({type(error).__name__}: {reason}): choose "
@@ -187,17 +190,17 @@ def timm_body(name: str, channels_in: int, **weights: object) -> tuple[Any, bool
 
 
 def _overlaps(body: nn.Module) -> bool:
-    """Whether the first convolution that makes a map smaller sees more of the image than it steps over."""
+    """Whether the kernel of the first strided convolution is larger than its stride."""
     strided = (layer for layer in body.modules() if isinstance(layer, nn.Conv2d) and layer.stride[0] > 1)
     first = next(strided, None)
     return first is not None and first.kernel_size[0] > first.stride[0]
 
 
 def _channels_come_last(body: Any, channels_in: int) -> bool:
-    """Whether the maps of a backbone are (B, h, w, C) and not (B, C, h, w).
+    """Whether the feature maps of a backbone are (B, h, w, C) instead of (B, C, h, w).
 
     Raises:
-        ValueError: They are neither.
+        ValueError: The maps have neither shape.
     """
     strides, channels = body.feature_info.reduction(), body.feature_info.channels()
     rows, cols = 6 * max(strides), 9 * max(strides)

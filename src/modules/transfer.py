@@ -1,4 +1,4 @@
-"""From a vision model to an affordance model: copy parameters by key and say what became of each."""
+"""From a vision model to an affordance model: copy parameters by key, and report what was done with each key."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from see2act.modules.network import PixelNetwork
 
 PARTS = ("backbone", "head")
 ALWAYS = "normalization"
-"""The statistics of the source's data go wherever its parameters go."""
+"""The statistics of the source's training data are copied with any part."""
 AVERAGE = "normalization.average"
-"""Of heightmaps, so weights that others trained have none, and the network keeps what was measured here."""
+"""A statistic of heightmaps. Weights that others trained do not have it; then the network keeps the value measured here."""
 SHOWN = 5
+"""Problems that an error message lists."""
 
 
 @dataclass
 class TransferReport:
-    """What a transfer did with every key; values are shapes."""
+    """What a transfer did with every key. Values are shapes."""
 
     parts: list[str]
     copied: dict[str, list[int]] = field(default_factory=dict)
@@ -29,7 +30,7 @@ class TransferReport:
     unused: dict[str, list[int]] = field(default_factory=dict)
 
     def summary(self) -> str:
-        """One line for people."""
+        """One line for the log."""
         return (
             f"transfer of {' and '.join(self.parts) or 'nothing'}: {len(self.copied)} keys copied, "
             f"{len(self.left_at_initialisation)} left at initialisation, {len(self.set_to_zero)} set to zero, "
@@ -37,7 +38,7 @@ class TransferReport:
         )
 
     def as_dict(self) -> dict[str, object]:
-        """For ``transfer.json``."""
+        """The content of ``transfer.json``."""
         return asdict(self)
 
 
@@ -52,13 +53,13 @@ def copy_parts(
 
     Args:
         source: State dict of a :class:`PixelNetwork`; may be empty if there are no ``parts``.
-        network: Changed in place, after every check has passed.
+        network: Changed in place, after all checks have passed.
         parts: Any of ``backbone`` and ``head``.
-        optional: Beginnings of keys that the source need not have; they stay as they are, like ``AVERAGE``.
-        zero: The same, but they become zero: what they see adds nothing until something is learned.
+        optional: Prefixes of keys that may be missing from the source. The network keeps its values, as for ``AVERAGE``.
+        zero: Like ``optional``, but these are set to zero, so they contribute nothing until they are trained.
 
     Raises:
-        TransferError: A part is missing from the source, or its keys or shapes do not fit, or nothing of it would move.
+        TransferError: A part is missing from the source, its keys or shapes do not fit, or none of its keys would be copied.
     """
     target = network.state_dict()
     report = TransferReport(parts=list(parts))

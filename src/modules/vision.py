@@ -1,4 +1,4 @@
-"""Learning to see: one binary label for every pixel."""
+"""Learning to see: a binary label for every pixel."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class VisionBatch(NamedTuple):
 
 
 class VisionModule(L.LightningModule):
-    """A network that learns a vision task from heightmaps and label maps.
+    """Trains a network on a vision task, from heightmaps and label maps.
 
-    Heightmaps are rotated by a random angle, mirrored and shifted, since the affordance model will see rotated ones. The
-    learning rate falls to zero over all steps (cosine).
+    Heightmaps are rotated by a random angle, mirrored and shifted, because the affordance model will see rotated ones. The
+    learning rate falls to zero over all steps along a cosine.
 
     Args:
-        network: The shared architecture.
-        lr: Adam's learning rate at its peak.
-        weight_decay: Adam's.
-        pos_weight: Weight of a positive pixel against a negative one.
-        seed: Of the augmentation. With several processes (ddp) each derives its own.
+        network: The network to train.
+        lr: Peak learning rate of AdamW.
+        weight_decay: Weight decay of AdamW.
+        pos_weight: Weight of a positive pixel relative to a negative one.
+        seed: Seed of the augmentation. With several processes (ddp) each one derives its own seed from it.
     """
 
     def __init__(self, network: PixelNetwork, *, lr: float, weight_decay: float, pos_weight: float, seed: int):
@@ -49,7 +49,7 @@ class VisionModule(L.LightningModule):
         self._seed, self._augment = seed, torch.Generator().manual_seed(seed)
 
     def forward(self, color: UInt8[Tensor, "B H W 3"], height: Float[Tensor, "B H W"]) -> Float[Tensor, "B 1 H W"]:
-        """Logits of unturned heightmaps."""
+        """Logits of heightmaps without rotation."""
         logits: Tensor = self.network(self.network.prepare(color, height))
         return logits
 
@@ -75,12 +75,12 @@ class VisionModule(L.LightningModule):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         optimizer = torch.optim.AdamW(self.network.parameters(), lr=self._lr, weight_decay=self._weight_decay)
-        steps = int(self.trainer.estimated_stepping_batches)  # fewer on several devices, which share each epoch
+        steps = int(self.trainer.estimated_stepping_batches)  # fewer with several devices, which share each epoch
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def _augmented(self, x: Float[Tensor, "B 4 H W"], label: Bool[Tensor, "B H W"]) -> tuple[Tensor, Tensor]:
-        """Inputs and labels, randomly rotated, mirrored and shifted; the size stays."""
+        """Inputs and labels, randomly rotated, mirrored and shifted, at the same size."""
         n, shape = len(x), (x.shape[2], x.shape[3])
         angle = torch.rand(n, generator=self._augment) * 2 * math.pi
         shift = (torch.rand(n, 2, generator=self._augment) - 0.5) * torch.tensor(shape) * 0.4

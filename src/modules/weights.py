@@ -1,4 +1,4 @@
-"""Parameters from elsewhere: files and torchvision's own, in the keys that networks here have."""
+"""Weights from files and from torchvision, converted to the keys of our networks."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ from see2act.errors import MissingWeights, TransferError
 
 OLD_FPN = re.compile(r"^(backbone\.fpn\.(?:inner|layer)_blocks\.\d)\.(weight|bias)$")
 OLD_HEAD = re.compile(r"^head\.conv\.(weight|bias)$")
-"""Keys of torchvision's older detectors, which lack the index of the convolution in its block."""
+"""Keys of torchvision's older detectors. They lack the index of the convolution within its block."""
 
 
 class OffTheShelf(Protocol):
-    """Weights that others trained."""
+    """A source of weights that others trained."""
 
     def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
-        """State dict in the keys of networks here, from ``file`` or from where such weights are kept.
+        """A state dict with the keys of our networks, from ``file`` or from where such weights are kept.
 
-        Statistics of the input are of RGB alone, (3,), if the file has none of the height; those are the caller's.
+        The input statistics are of RGB only, shape (3,), if the file has none for the height. The caller adds those.
 
         Args:
-            file: That the user named.
-            cache: Of the project.
+            file: The file that the user named, if any.
+            cache: Cache folder of the project.
 
         Raises:
-            TransferError: The file cannot be read, or holds another network.
-            MissingWeights: None was named, and none is on this machine or can be got.
+            TransferError: The file cannot be read, or is of another network.
+            MissingWeights: No file was named, and the weights are not on this machine and cannot be downloaded.
         """
 
 
 @dataclass(frozen=True)
 class Torchvision:
-    """torchvision's weights, and what they need beside themselves.
+    """torchvision's weights, and the constants that belong to them.
 
     Args:
-        weights: A torchvision model and one of its weights, ``resnet50.IMAGENET1K_V1``.
-        mean, std: Of the RGB channels (0..1) that they were trained with.
-        epsilon: Of their BatchNorm.
-        epsilon_of: The same of those models that have another.
+        weights: A torchvision model and one of its weights: ``resnet50.IMAGENET1K_V1``.
+        mean, std: Statistics of the RGB channels (0..1) that they were trained with.
+        epsilon: Epsilon of their BatchNorm.
+        epsilon_of: Epsilon by model, for models with another value.
     """
 
     weights: str
@@ -58,10 +58,10 @@ class Torchvision:
     epsilon_of: Mapping[str, float] = field(default_factory=dict)
 
     def read(self, file: str | None, cache: Path) -> dict[str, Tensor]:
-        """As of :class:`OffTheShelf`: from ``file``, or else from torchvision's cache or the network."""
+        """See :class:`OffTheShelf`. Without a ``file``, the weights come from torchvision's cache or its download."""
         state = to_our_keys(read(Path(file)) if file else self._download())
         if "normalization.mean" in state:
-            return state  # a checkpoint of this project, which has all of it
+            return state  # a checkpoint of this project, which is complete
         epsilon = self.epsilon_of.get(self.weights.split(".")[0], self.epsilon)
         for layer in [key.removesuffix("running_mean") for key in state if key.endswith("running_mean")]:
             state.setdefault(f"{layer}num_batches_tracked", torch.tensor(0))
@@ -89,12 +89,12 @@ class Torchvision:
 
 
 def read(path: Path) -> dict[str, Tensor]:
-    """The state dict in a file: .safetensors, or whatever ``torch.save`` wrote. Code in a file is never run.
+    """The state dict in a file: .safetensors, or a file written by ``torch.save``. Code in a file is never run.
 
-    Checkpoints of this project and of others, which keep the state dict under a name, are opened.
+    Checkpoints that keep the state dict under a key, such as those of this project, work too.
 
     Raises:
-        TransferError: It is not there, broken, would run code, or holds no state dict.
+        TransferError: The file does not exist, is broken, would run code, or holds no state dict.
     """
     content = _content(path)
     for name in ("network", "state_dict", "model"):
@@ -106,10 +106,10 @@ def read(path: Path) -> dict[str, Tensor]:
 
 
 def task_of(path: Path) -> str | None:
-    """The vision task that a checkpoint of this project says it learned; None where a file does not say.
+    """The vision task of a checkpoint of this project; None if the file does not name one.
 
     Raises:
-        TransferError: It is not there, broken, or would run code.
+        TransferError: The file does not exist, is broken, or would run code.
     """
     content = _content(path)
     ours = isinstance(content, Mapping) and "network" in content and isinstance(content.get("task"), str)
@@ -125,9 +125,10 @@ def _content(path: Path) -> Any:
 
 
 def to_our_keys(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """From torchvision's layouts (a detector, old or new; a backbone with or without its pyramid; a classifier) to ours.
+    """Rename torchvision's keys to ours. They may be of a detector (old or new), a backbone with or without its pyramid, or a
+    classifier.
 
-    Keys that belong to no part of a network here stay as they are, and are reported as unused.
+    Keys that belong to no part of our networks stay as they are. The transfer reports them as unused.
     """
     names = {key: _rename(key, state) for key in state}
     return {ours: state[theirs] for theirs, ours in names.items()}
@@ -137,9 +138,9 @@ def _rename(key: str, state: Mapping[str, Tensor]) -> str:
     if "features.0.0.weight" in state:
         key = key.replace("features.", "backbone.body.", 1) if key.startswith("features.") else key  # a MobileNet
     elif "conv1.weight" in state and key.split(".")[0] not in ("fc", "avgpool"):
-        key = f"backbone.body.{key}"  # a classifier, or the body of one
+        key = f"backbone.body.{key}"  # a classifier, or its body
     elif "body.conv1.weight" in state:
-        key = f"backbone.{key}"  # a backbone by itself
+        key = f"backbone.{key}"  # a backbone alone
     elif key.startswith("rpn.head."):
         key = key.removeprefix("rpn.")
     key = OLD_FPN.sub(r"\1.0.\2", key)

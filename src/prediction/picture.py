@@ -7,6 +7,7 @@ import math
 import cv2
 import numpy as np
 from jaxtyping import UInt8
+
 from see2act.prediction.predict import Prediction, ScoredPick
 
 SHARE = 0.45

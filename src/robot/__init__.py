@@ -1,1 +1,1 @@
-"""The robot: observation in, pick out, outcome back. NumPy and PyBullet only, no torch."""
+"""The robot: it gives observations, executes picks and returns outcomes. Only NumPy and PyBullet, no torch."""

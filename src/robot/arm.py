@@ -1,4 +1,4 @@
-"""A UR5 that follows Cartesian straight lines above the bin."""
+"""A UR5 that follows straight Cartesian lines above the bin."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
+from ur_analytic_ik import ur5
+
 from see2act.robot.simulation import TIMESTEP, Simulation
 from see2act.robot.types import RobotError
-from ur_analytic_ik import ur5
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 EFFORT = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
-"""N m, from the UR5's URDF."""
+"""Largest torque of each joint, N m, from the UR5's URDF."""
 GAIN = 0.6
-"""Share of the joint error that a motor corrects in one step; tracks within 0.5 mm without ringing."""
+"""Share of the joint error that a motor corrects in one step. The tool then tracks within 0.5 mm without ringing."""
 KNOTS_APART = 0.01
-"""Metres between the points of a straight line that are solved; a cubic through them is off it by less than a micrometre."""
+"""Metres between the points of a straight line where the inverse kinematics is solved. A cubic spline through them deviates
+from the line by less than a micrometre."""
 HOME_ANGLE = np.pi / 2
-"""Middle of the pick angles [0, pi), so that the last joint never turns by more than a quarter."""
+"""Radians: the middle of the pick angles [0, pi), so that the last joint never turns by more than a quarter turn."""
 
 
 @dataclass(frozen=True)
 class ArmConfig:
-    """Where the arm stands and how fast it goes.
+    """Where the arm stands and how fast it moves.
 
     Args:
         base: World position of the base, metres. Its x axis points at the bin.
         home: World position of ``tool0`` before and after each attempt, metres.
-        joint_speed: Fastest joint in free motion, rad/s (UR5: 3.14 at most).
-        tool_speed: Tool on straight lines, m/s.
+        joint_speed: Speed of the fastest joint in free motion, rad/s (UR5: 3.14 at most).
+        tool_speed: Speed of the tool on straight lines, m/s.
 
     Raises:
         RobotError: A speed is not above 0.
@@ -52,16 +54,16 @@ class ArmConfig:
 
 
 class Arm:
-    """The arm with an end effector, in a simulation. Positions are those of ``tool0``, which points down.
+    """The arm with an end effector, in a simulation. All positions are of ``tool0``, which points down.
 
     Args:
-        simulation: The world to be in.
-        config: Where it stands and how fast it goes.
-        tool_urdf: Arm and end effector.
-        jumps: Free motion takes no physics; its time is counted all the same.
+        simulation: The world to load the arm into.
+        config: Where the arm stands and how fast it moves.
+        tool_urdf: URDF text of the arm with its end effector.
+        jumps: Whether free motion skips the physics. Its duration is still counted.
 
     Raises:
-        RobotError: Home is out of reach.
+        RobotError: The arm cannot reach home.
     """
 
     def __init__(self, simulation: Simulation, config: ArmConfig, tool_urdf: str, jumps: bool):
@@ -70,14 +72,14 @@ class Arm:
         self._urdf = tool_urdf
         self.jumps = jumps
         self.seconds = 0.0
-        """Time that all motion so far would take on a real arm at the configured speeds."""
+        """Time that all motion since loading would take on a real arm at the configured speeds."""
         home = self.solve(np.array(config.home), HOME_ANGLE)
         if home is None:
             raise RobotError(f"robot.arm.home={config.home} is out of the arm's reach: move it nearer to the base")
         self._home = home
 
     def load(self) -> None:
-        """Put the arm, at home, into an empty simulation."""
+        """Load the arm into an empty simulation, at home."""
         client = self._simulation.client
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "robot.urdf"
@@ -88,7 +90,7 @@ class Arm:
         self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}
         self._joints = [self.joint_index[name] for name in JOINTS]
         self.tool_links: list[int] = []
-        """What hangs on ``tool0``."""
+        """Links attached to ``tool0``."""
         for i, info in enumerate(infos):  # parents come before their children
             if info[16] in (self.link_index["tool0"], *self.tool_links):
                 self.tool_links.append(i)
@@ -96,24 +98,23 @@ class Arm:
         self.teleport(self._home)
 
     def teleport(self, joints: Float[np.ndarray, "6"], velocity: Float[np.ndarray, "6"] | None = None) -> None:
-        """Put the joints somewhere at once, at rest or moving at a velocity in rad/s."""
+        """Set the joint angles immediately, at rest or with a velocity in rad/s."""
         velocity = np.zeros(6) if velocity is None else velocity
         for index, value, speed in zip(self._joints, joints, velocity, strict=True):
             self._simulation.client.resetJointState(self.body, index, value, speed)
         self._command(joints, velocity)
 
     def solve(self, position: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "6"] | None:
-        """Joint angles that put ``tool0`` at a world position, pointing down, turned by ``angle``.
+        """Joint angles that put ``tool0`` at a world position, pointing down, rotated by ``angle``.
 
-        The tool's x axis lies on the line at ``angle``, pointing backwards along it: all tools here are
-        the same after half a turn, and this half keeps the last joint away from its limits.
-        Of the closed-form solutions the one with elbow up, wrist inward and the base facing the bin is
-        taken, so that paths through neighbouring poses never jump. None where there is no such solution.
+        The tool's x axis points along ``angle`` + pi. All tools here are symmetric under half a turn, and this half keeps the
+        last joint away from its limits. Of the closed-form solutions, the one with the elbow up, the wrist inward and the base
+        facing the bin is used, so that paths through neighbouring poses never jump. None if there is no such solution.
         """
         pose = np.eye(4)
         pose[:3, :3] = pointing_down(angle + np.pi)
         pose[:3, 3] = np.asarray(position) - self._config.base
-        # The kinematics' base frame is the URDF's turned by half a turn about z.
+        # The base frame of the kinematics is that of the URDF, rotated by half a turn about z.
         pose[:2] *= -1
         for solution in ur5.inverse_kinematics(pose):
             q = _wrap(solution)
@@ -122,7 +123,7 @@ class Arm:
         return None
 
     def line(self, start: np.ndarray, end: np.ndarray, angle: float, speed: float) -> Float[np.ndarray, "n 6"] | None:
-        """Joint targets, one per timestep, along a straight line; None where a point is out of reach."""
+        """Joint targets along a straight line, one per timestep; None if a point is out of reach."""
         length = float(np.linalg.norm(end - start))
         at = np.linspace(0, 1, 2 + int(np.ceil(length / KNOTS_APART)))
         knots = [self.solve(start + s * (end - start), angle) for s in at]
@@ -131,18 +132,18 @@ class Arm:
         return np.array(CubicSpline(at, np.array(knots))(_ease(length / speed)))
 
     def move(self, joints: Float[np.ndarray, "6"]) -> None:
-        """Free motion in joint space."""
+        """Move freely in joint space."""
         start = self._joint_targets
         travel = float(np.abs(joints - start).max())
         steps = _ease(travel / self._config.joint_speed)[:, None]
         self.travel(start + steps * (joints - start))
 
     def home(self) -> None:
-        """Free motion to the fixed initial position."""
+        """Move freely to the fixed initial position."""
         self.move(self._home)
 
     def travel(self, waypoints: Float[np.ndarray, "n 6"]) -> None:
-        """Go through joint targets, one a step, with nothing in hand and nothing that should be touched on the way."""
+        """Follow joint targets, one per timestep, where the tool holds nothing and should touch nothing."""
         if not self.jumps:
             self.follow(waypoints)
             return
@@ -154,10 +155,10 @@ class Arm:
         self.seconds += len(waypoints) * TIMESTEP
 
     def enter(self, waypoints: Float[np.ndarray, "n 6"], count: int) -> Float[np.ndarray, "m 6"]:
-        """Pass the first ``count`` targets of a line, where nothing can be touched, and be on the way at their speed.
+        """Jump over the first ``count`` targets of a line, where nothing can be touched, and continue at their speed.
 
         Returns:
-            The targets that are left to follow, one at least; all of them if free motion takes physics.
+            The targets that remain, at least one; all of them if free motion is simulated.
         """
         count = min(count, len(waypoints) - 1)
         if not self.jumps or count < 2:
@@ -167,10 +168,10 @@ class Arm:
         return waypoints[count:]
 
     def follow(self, waypoints: Float[np.ndarray, "n 6"], until: Callable[[], bool] | None = None) -> bool:
-        """Drive through joint targets, one a step; stop early and hold where ``until`` says so.
+        """Drive through joint targets, one per timestep. If ``until`` returns True, stop early and hold the position.
 
         Returns:
-            Whether it was stopped.
+            Whether it stopped early.
         """
         for target in waypoints:
             velocity = (target - self._joint_targets) / TIMESTEP
@@ -185,7 +186,7 @@ class Arm:
         return False
 
     def wait(self, steps: int, until: Callable[[], bool] | None = None) -> None:
-        """Hold still for at most ``steps`` timesteps."""
+        """Hold still for ``steps`` timesteps, or until ``until`` returns True."""
         for _ in range(steps):
             self._simulation.step()
             self.seconds += TIMESTEP
@@ -193,22 +194,22 @@ class Arm:
                 return
 
     def tool_position(self) -> Float[np.ndarray, "3"]:
-        """Where ``tool0`` really is, world metres."""
+        """The actual position of ``tool0``, world metres."""
         state = self._simulation.client.getLinkState(self.body, self.link_index["tool0"], computeForwardKinematics=1)
         return np.array(state[4])
 
     def tool_rotation(self) -> Float[np.ndarray, "3 3"]:
-        """How ``tool0`` is really turned."""
+        """The actual rotation matrix of ``tool0``."""
         state = self._simulation.client.getLinkState(self.body, self.link_index["tool0"], computeForwardKinematics=1)
         return np.array(self._simulation.client.getMatrixFromQuaternion(state[5])).reshape(3, 3)
 
     @property
     def commanded_position(self) -> Float[np.ndarray, "3"]:
-        """Where ``tool0`` was last told to be, world metres."""
+        """The last commanded position of ``tool0``, world metres."""
         return self.position(self._joint_targets)
 
     def position(self, joints: Float[np.ndarray, "6"]) -> Float[np.ndarray, "3"]:
-        """Where joint angles put ``tool0``, world metres."""
+        """The position of ``tool0`` for given joint angles, world metres."""
         pose = np.array(ur5.forward_kinematics(*joints))
         return np.array([-pose[0, 3], -pose[1, 3], pose[2, 3]]) + self._config.base
 
@@ -227,13 +228,13 @@ class Arm:
 
 
 def pointing_down(angle: float) -> Float[np.ndarray, "3 3"]:
-    """Rotation of a tool whose z axis points down and whose x axis is turned by ``angle`` from the world's."""
+    """Rotation of a tool whose z axis points down and whose x axis is at ``angle`` from the world's x axis."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
 
 
 def _ease(seconds: float) -> Float[np.ndarray, " n"]:
-    """Progress from 0 to 1, one value a timestep, smooth at both ends, peaking at 1 / ``seconds``."""
+    """Progress from 0 to 1, one value per timestep, smooth at both ends. The peak speed is 1 / ``seconds``."""
     n = max(1, int(np.ceil(seconds * np.pi / 2 / TIMESTEP)))
     return (1 - np.cos(np.pi * np.arange(1, n + 1) / n)) / 2
 

@@ -12,27 +12,28 @@ from see2act.robot.simulation import Simulation
 from see2act.robot.types import NotNegative, RobotError
 
 NEAR, FAR = 0.1, 3.0
+"""Clipping planes, metres."""
 
 
 @dataclass(frozen=True)
 class DepthNoise:
     """Errors of a stereo depth sensor (Intel RealSense D415).
 
-    Depth comes from disparity d = f b / z, so an error in d grows with z squared.
+    Depth z comes from disparity d = f b / z, so an error in d causes an error in z that grows with z squared.
 
     Args:
-        baseline: Metres between the two imagers (D415: 0.055).
-        focal: Pixels, at the sensor's own resolution (D415 at 1280 x 720: about 930).
+        baseline: Distance between the two imagers, metres (D415: 0.055).
+        focal: Focal length in pixels at the sensor's own resolution (D415 at 1280 x 720: about 930).
         sigma: Standard deviation of the disparity, pixels (Intel's tuning guide: 0.08 with texture).
         step: Quantisation of the disparity, pixels (D4 chips: 1/32).
-        blur: Pixels over which the error is correlated, as block matching makes it.
-        edge_loss: Depth jump in metres to a neighbour beyond which a pixel may lose its reading.
-        edge_rate: Probability that it does.
-        grazing: Radians between a ray and the surface's normal beyond which a pixel may lose its reading. The error of
-            such readings grows as 1 / (pi / 2 - angle)^2 (Nguyen, Izadi and Lovell 2012, whose model passes 8 mm at 80
+        blur: Pixels over which the error is correlated, as in block matching.
+        edge_loss: Depth jump to a neighbour in metres, above which a pixel may lose its reading.
+        edge_rate: Probability that such a pixel loses its reading.
+        grazing: Angle in radians between a ray and the surface normal, above which a pixel may lose its reading. The error
+            of such readings grows as 1 / (pi / 2 - angle)^2 (Nguyen, Izadi and Lovell 2012, whose model passes 8 mm at 80
             degrees), and block matching rejects them.
-        grazing_rate: Probability that it does.
-        transparent_rate: Probability that a pixel on a transparent object has no reading; otherwise it reads what is behind.
+        grazing_rate: Probability that such a pixel loses its reading.
+        transparent_rate: Probability that a pixel on a transparent object has no reading; otherwise it reads the floor behind.
     """
 
     baseline: NotNegative = 0.055
@@ -49,12 +50,12 @@ class DepthNoise:
     def __call__(
         self, depth: Float[np.ndarray, "h w"], incidence: Float[np.ndarray, "h w"], rng: np.random.Generator
     ) -> Float[np.ndarray, "h w"]:
-        """Sensed depth in metres, 0 where there is no reading.
+        """Sensed depth in metres; 0 where there is no reading.
 
         Args:
-            depth: Exact, metres.
-            incidence: Radians between each pixel's ray and the normal of what it sees.
-            rng: Decides everything random here.
+            depth: Exact depth, metres.
+            incidence: Angle in radians between each pixel's ray and the normal of the surface that it meets.
+            rng: Source of all randomness here.
         """
         noise: np.ndarray = rng.standard_normal(depth.shape, np.float32)
         if self.blur > 0:
@@ -72,20 +73,20 @@ class DepthNoise:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the camera stands and what it measures.
+    """The pose of the camera, and what it measures.
 
     Args:
-        name: The word people type.
-        position: World metres.
-        target: World point in the image's centre.
+        name: Name used in the configuration.
+        position: World position, metres.
+        target: World point at the centre of the image, metres.
         up: World direction that points up in the image.
-        width, height: Pixels.
-        focal: Pixels.
+        width, height: Image size, pixels.
+        focal: Focal length, pixels.
         noise: Errors of the depth.
-        crop: First row, first column, rows and columns of the part of the image that is taken; None for all of it.
+        crop: First row, first column, number of rows and number of columns of the part that is rendered; None for all.
 
     Raises:
-        RobotError: There is no pixel, the focal length is not above 0, or there is no direction to look in.
+        RobotError: The image has no pixels, the focal length is not above 0, or the viewing direction is undefined.
     """
 
     name: str
@@ -117,13 +118,13 @@ class Camera:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the image that is taken."""
+        """Rows and columns of the rendered image."""
         return self.crop[2:] if self.crop else (self.height, self.width)
 
     def cropped_to(self, points: Float[np.ndarray, "n 3"], margin: int = 4) -> Camera:
-        """This camera, taking no more of its image than shows the hull of world points, and a margin of pixels around it.
+        """This camera, cropped to the part of its image that shows the given world points, plus a margin in pixels.
 
-        All of the image where a point is behind the camera, or none of them is in view.
+        Not cropped if a point is behind the camera or no point is in view.
         """
         whole = replace(self, crop=None)
         x, y, z = (np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(self.pose).T)[:, :3].T
@@ -137,9 +138,9 @@ class Camera:
 
     @property
     def intrinsics(self) -> Float[np.ndarray, "3 3"]:
-        """Pinhole matrix, pixels; a pixel's centre is at its index plus a half.
+        """Pinhole matrix in pixels. The centre of a pixel is at its index plus 0.5.
 
-        TinyRenderer samples at the upper left corner of a pixel counted from below, hence the halves.
+        TinyRenderer counts rows from below and samples at the upper left corner of a pixel, hence the offsets of 0.5.
         """
         top, left = self.crop[:2] if self.crop else (0, 0)
         centre = self.width / 2 + 0.5 - left, self.height / 2 - 0.5 - top
@@ -147,7 +148,7 @@ class Camera:
 
     @property
     def pose(self) -> Float[np.ndarray, "4 4"]:
-        """Camera to world: x right, y down, z forward."""
+        """Camera to world; in the camera's frame x is right, y down and z forward."""
         forward = _unit(np.subtract(self.target, self.position))
         right = _unit(np.cross(forward, self.up))
         pose = np.eye(4)
@@ -158,12 +159,12 @@ class Camera:
     def sense(
         self, depth: Float[np.ndarray, "h w"], transparent: Bool[np.ndarray, "h w"], rng: np.random.Generator
     ) -> Float[np.ndarray, "h w"]:
-        """Depth in metres as the sensor reports it, 0 where it has no reading.
+        """Depth in metres as the sensor reports it; 0 where it has no reading.
 
         Args:
-            depth: Exact, metres.
-            transparent: Where the light goes through to the bin's floor, if it comes back at all.
-            rng: Decides everything random here.
+            depth: Exact depth, metres.
+            transparent: True on transparent objects. A pixel there has no reading or reads the bin's floor.
+            rng: Source of all randomness here.
         """
         if transparent.any():
             depth = np.where(transparent, self.floor_depth(), depth).astype(np.float32)
@@ -173,7 +174,7 @@ class Camera:
         return sensed
 
     def floor_depth(self) -> Float[np.ndarray, "h w"]:
-        """Depth in metres at which each pixel's ray meets the plane z = 0; far where it does not."""
+        """Depth in metres at which each pixel's ray meets the plane z = 0; ``FAR`` where it does not."""
         rows, cols = (np.arange(n) + 0.5 for n in self.shape)
         x = ((cols - self.intrinsics[0, 2]) / self.focal)[None]
         y = ((rows - self.intrinsics[1, 2]) / self.focal)[:, None]
@@ -181,11 +182,11 @@ class Camera:
         return np.where(down > 1e-3, self.pose[2, 3] / np.maximum(down, 1e-3), FAR)
 
     def incidence(self, depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        """Radians between each pixel's ray and the normal of the surface it sees."""
+        """Angle in radians between each pixel's ray and the normal of the surface that it meets."""
         dv, du = _slope(depth, 0), _slope(depth, 1)
         rows, cols = (np.arange(n, dtype=np.float32) + 0.5 for n in depth.shape)
         x, y = cols - np.float32(self.intrinsics[0, 2]), (rows - np.float32(self.intrinsics[1, 2]))[:, None]
-        # With the ray (x, y, f) / f and the normal (-f du, -f dv, z + x du + y dv) their product is z.
+        # The dot product of the ray (x, y, f) / f and the normal (-f du, -f dv, z + x du + y dv) is z.
         normal = np.sqrt((self.focal * du) ** 2 + (self.focal * dv) ** 2 + (depth + x * du + y * dv) ** 2)
         ray = np.sqrt(x**2 + y**2 + self.focal**2) / self.focal
         return np.arccos((depth / (normal * ray)).clip(0, 1))
@@ -193,7 +194,7 @@ class Camera:
     def render(
         self, simulation: Simulation
     ) -> tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
-        """Colour, exact depth in metres, and the body id seen in each pixel (-1: none)."""
+        """Colour, exact depth in metres, and the id of the body seen in each pixel (-1 for none)."""
         client = simulation.client
         view = client.computeViewMatrix(self.position, self.target, self.up)
         rows, cols = self.shape
@@ -206,7 +207,7 @@ class Camera:
         return color, depth, np.asarray(body).reshape(rows, cols)
 
     def _projection(self) -> list[float]:
-        """OpenGL projection of the pinhole, column-major; of a crop, off its centre."""
+        """OpenGL projection matrix of the pinhole camera, column-major. For a crop it is off-centre."""
         rows, cols = self.shape
         top, left = self.crop[:2] if self.crop else (0, 0)
         below = self.height - top - rows
@@ -220,7 +221,8 @@ class Camera:
 
 
 def _slope(depth: np.ndarray, axis: int) -> np.ndarray:
-    """Change per pixel along an axis, to the neighbour where it is smaller: at a depth edge, that on the same surface."""
+    """Depth change per pixel along an axis, to the neighbour where it is smaller. At a depth edge that one is on the same
+    surface."""
     steps = np.diff(depth, axis=axis)
     before = np.concatenate([np.take(steps, [0], axis), steps], axis)
     after = np.concatenate([steps, np.take(steps, [-1], axis)], axis)

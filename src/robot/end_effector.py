@@ -1,4 +1,4 @@
-"""What every end effector promises; suction cup and gripper are its two kinds."""
+"""The interface of end effectors. The suction cup and the gripper implement it."""
 
 from __future__ import annotations
 
@@ -6,65 +6,69 @@ import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 
 import numpy as np
+
 from see2act.robot.arm import Arm
 from see2act.robot.simulation import Simulation
 from see2act.robot.types import Cause
 
 
 class EndEffector(ABC):
-    """A tool on the arm: how it approaches a pick, holds, and senses what it holds."""
+    """A tool on the arm: how it approaches a pick, holds an object, and senses the hold."""
 
     primitive: str
-    """The motion primitive it executes."""
+    """The motion primitive that it executes."""
     contact_limit: float
-    """Newtons on the tool at which a descent stops."""
+    """Contact force at which a descent stops, newtons."""
     half_opening: float = 0.0
-    """Metres from its middle to each jaw while they are open; 0 where it has none."""
+    """Metres from the middle to each open jaw; 0 for a tool without jaws."""
 
     @abstractmethod
     def urdf(self) -> ET.Element:
-        """Its links and joints; the first link is fixed to the arm's ``tool0``."""
+        """The tool's links and joints. The first link is fixed to the arm's ``tool0``."""
 
     @abstractmethod
     def bind(self, simulation: Simulation, arm: Arm) -> None:
-        """Find its joints in the freshly loaded arm and make them ready."""
+        """Find and configure the tool's joints in an arm that was just loaded."""
 
     @abstractmethod
     def length(self) -> float:
-        """Metres from ``tool0`` to the point that meets the pick."""
+        """Metres from ``tool0`` to the point of the tool that goes to the pick."""
 
     @abstractmethod
     def depth_at(self, surface: np.ndarray) -> np.ndarray:
-        """World z in metres where that point goes for surface heights: deeper by the configured depth, never into the floor."""
+        """World z in metres to which that point goes for given surface heights.
+
+        It is lower than the surface by the configured depth, but never in the floor.
+        """
 
     @abstractmethod
     def prepare(self) -> None:
-        """Before the descent: open, or start the pump."""
+        """Open, or start the pump. Called before the descent."""
 
     @abstractmethod
     def engage(self) -> None:
-        """At the pick: close, or seal."""
+        """Close, or seal. Called at the pick."""
 
     @abstractmethod
     def engaged(self) -> bool:
-        """Whether it took hold of something when it engaged (for the cause of a failure, never for the verdict)."""
+        """Whether the tool took hold of something. Used for the cause of a failure, never for the verdict."""
 
     @abstractmethod
     def why_failed(self, engaged: bool, blocked: bool) -> Cause:
-        """The cause of a failure on an object.
+        """The cause of a failed pick that touched an object.
 
         Args:
-            engaged: Whether it had hold of something.
-            blocked: Whether the descent was stopped by force.
+            engaged: Whether the tool took hold of something.
+            blocked: Whether force stopped the descent.
         """
 
     @abstractmethod
     def update_hold(self) -> None:
-        """Called after every step of the lift: let go where the load is more than the hold can bear."""
+        """Let go if the load is more than the hold can bear. Called after every step of the lift."""
 
     @abstractmethod
     def sense(self) -> tuple[float, bool]:
-        """The reading and the verdict drawn from it."""
+        """The sensor reading, and whether it means success."""
 
     @abstractmethod
     def release(self) -> None:

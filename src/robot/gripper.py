@@ -26,30 +26,31 @@ CRANK = 0.0572
 CRANK_OPEN = 0.715
 """Radians between the crank and the vertical when open (URDF)."""
 PAD_AT_KNUCKLE = 0.005
-"""Half the opening at which the crank is vertical, metres."""
+"""Half of the opening at which the crank is vertical, metres."""
 PAD_HALF_HEIGHT = 0.01875
+"""Half of the height of a pad, metres."""
 PAD_CENTRE = 0.130
-"""Metres from ``tool0`` to the middle between the open pads (measured on the loaded model)."""
+"""Metres from ``tool0`` to the midpoint between the open pads (measured on the loaded model)."""
 STILL_STEPS = 12
 STILL = 0.001
-"""Radians in which the driver joint stays for ``STILL_STEPS`` when the fingers are at rest: 0.02 rad/s. Its speed at an instant
-does not tell: fingers that squeeze something tremble at up to 0.05 rad/s, and go nowhere."""
+"""Fingers are at rest if the driver joint stays within this many radians for ``STILL_STEPS``: 0.02 rad/s. The momentary speed
+cannot be used: fingers that squeeze an object tremble at up to 0.05 rad/s without moving on."""
 FLOOR_GAP = 0.002
-"""Metres that stay between the closing pads and the floor."""
+"""Smallest distance between the closing pads and the floor, metres."""
 
 
 class Gripper(EndEffector):
-    """Closes on what lies between its pads; success is a finger opening that stayed above a threshold.
+    """Closes on an object between its pads. A pick succeeds if the opening of the fingers stays above a threshold.
 
     Args:
-        depth: Metres below the surface that the middle of the pads goes.
-        torque: N m at the driver joint; 2 N m is some 20 N at the pads.
-        speed: rad/s of the driver joint.
-        close_steps: Timesteps allowed for closing.
-        threshold: Metres of opening above which something is held.
+        depth: Metres below the surface to which the middle of the pads is sent.
+        torque: Torque of the driver joint, N m; 2 N m gives about 20 N at the pads.
+        speed: Speed of the driver joint, rad/s.
+        close_steps: Maximum number of timesteps for closing.
+        threshold: Opening above which an object counts as held, metres.
         friction: Coulomb coefficient of the rubber pads.
-        contact_limit: Newtons on the gripper at which a descent stops.
-        size: Factor on the 2F-85, which opens 86 mm; 1.28 opens as far as OnRobot's RG2, 110 mm.
+        contact_limit: Contact force at which a descent stops, newtons.
+        size: Scale factor of the 2F-85, which opens 86 mm; with 1.28 it opens as far as OnRobot's RG2, 110 mm.
     """
 
     primitive = "grasp"
@@ -90,7 +91,7 @@ class Gripper(EndEffector):
             )
             client.changeConstraint(gear, gearRatio=-multiplier, maxForce=100, erp=1)
         for name in PADS:
-            # The anchor corrects the drift of a contact that sticks, within Coulomb's limit: without it what is held creeps.
+            # The anchor corrects the drift of sticking contacts, within Coulomb's limit. Without it a held object creeps.
             client.changeDynamics(
                 arm.body, arm.link_index[name], lateralFriction=self._friction, spinningFriction=0.005, frictionAnchor=1
             )
@@ -108,18 +109,18 @@ class Gripper(EndEffector):
         return float(2 * self.size * (PAD_AT_KNUCKLE + CRANK * np.sin(CRANK_OPEN - angle)))
 
     def swing(self, width: np.ndarray) -> np.ndarray:
-        """Metres by which pads at an opening in metres are lower than open ones: they close along an arc."""
+        """Metres by which the pads, which close along an arc, are lower at an opening of ``width`` metres than fully open."""
         sine = (width / 2 / self.size - PAD_AT_KNUCKLE) / CRANK
         return self.size * CRANK * (np.sqrt(1 - sine.clip(0, np.sin(CRANK_OPEN)) ** 2) - np.cos(CRANK_OPEN))
 
     def prepare(self) -> None:
         if self._arm.jumps:
-            return  # open since it let go
+            return  # it has been open since the last release
         seconds = self._arm.seconds
         self._drive(0.0)
         self._recent.clear()
         self._wait_until_still()
-        self._arm.seconds = seconds  # a real gripper opens on its way
+        self._arm.seconds = seconds  # not counted: a real gripper opens while the arm moves
 
     def engage(self) -> None:
         self._drive(0.8)
@@ -133,11 +134,11 @@ class Gripper(EndEffector):
         return "collision" if blocked else "slipped"
 
     def update_hold(self) -> None:
-        """Friction alone decides; here it is only seen whether the fingers move."""
+        """Record the finger position. Whether the hold lasts is decided by friction in the simulation."""
         self._recent.append(self._angle())
 
     def sense(self) -> tuple[float, bool]:
-        # Fingers that have just lost an object are still on their way, and as far apart as if they held it.
+        # Fingers that have just lost an object are still closing, and for a moment as far apart as if they held it.
         self._wait_until_still()
         gap = self.opening(self._angle())
         return gap, gap > self.threshold
@@ -157,7 +158,7 @@ class Gripper(EndEffector):
             self._arm.wait(self._close_steps, still)
 
     def _still(self) -> bool:
-        """Whether the driver joint stayed where it is for the last steps."""
+        """Whether the driver joint has not moved over the last ``STILL_STEPS`` steps."""
         return len(self._recent) > STILL_STEPS and max(self._recent) - min(self._recent) < STILL
 
     def _angle(self) -> float:

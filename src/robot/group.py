@@ -1,4 +1,4 @@
-"""Several robots that act at the same time, each in a process of its own."""
+"""Several robots that act at the same time, each in a separate process."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from see2act.robot.types import RobotError
 
 
 class RobotGroup:
-    """Robots by number, from 0. One robot lives in this process; several live in one each.
+    """Robots, numbered from 0. A single robot runs in this process; several robots run in one process each.
 
     Args:
-        make: Builds a robot; runs in worker processes, so it must pickle.
-        count: How many.
+        make: Builds a robot. It runs in worker processes, so it must be picklable.
+        count: Number of robots.
     """
 
     def __init__(self, make: Callable[[], Robot], count: int):
@@ -29,23 +29,23 @@ class RobotGroup:
         return len(self._workers) or 1
 
     def call(self, method: str, arguments: Mapping[int, tuple]) -> dict[int, Any]:
-        """Call a method of some robots, all at once.
+        """Call a method of some robots, in parallel.
 
         Args:
-            method: Its name.
-            arguments: Those of the call, by robot.
+            method: Name of the method.
+            arguments: Arguments of the call, by robot.
 
         Returns:
-            What each returned, by robot, in the order of ``arguments``.
+            The return values, by robot, in the order of ``arguments``.
 
         Raises:
-            RobotError: A robot raised it, or its process has ended.
+            RobotError: A robot raised it, or the process of a robot has ended.
         """
         if self._alone is not None:
             return {i: getattr(self._alone, method)(*given) for i, given in arguments.items()}
         for i, given in arguments.items():
             self._workers[i].ask(method, given)
-        # All answers are taken before the first error is raised: what is left in a pipe would answer the next question.
+        # Read all answers before raising an error. An answer left in a pipe would be taken for that of the next call.
         answers = {i: self._workers[i].answer() for i in arguments}
         for answer in answers.values():
             if isinstance(answer, RobotError):
@@ -53,7 +53,7 @@ class RobotGroup:
         return answers
 
     def close(self) -> None:
-        """Give all of them back; safe to call twice."""
+        """Close all robots. Safe to call twice."""
         if self._alone is not None:
             self._alone.close()
         for worker in self._workers:
@@ -61,7 +61,7 @@ class RobotGroup:
 
 
 class _Worker:
-    """A robot in a process of its own, which ends with this one."""
+    """A robot in a separate process, which ends when this process ends."""
 
     def __init__(self, make: Callable[[], Robot]):
         context = get_context("spawn")
@@ -71,7 +71,7 @@ class _Worker:
         theirs.close()
 
     def ask(self, method: str, given: tuple) -> None:
-        with suppress(OSError):  # the process has ended; answer() says so
+        with suppress(OSError):  # the process has ended; answer() reports it
             self._pipe.send((method, given))
 
     def answer(self) -> Any:
@@ -89,8 +89,8 @@ class _Worker:
 
 
 def _serve(make: Callable[[], Robot], pipe: Connection) -> None:
-    """Answer until the other end is closed, or its process is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run, which then closes the pipe
+    """Answer calls until the other end of the pipe is closed or its process has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process handles Ctrl-C and then closes the pipe
     robot = make()
     try:
         while True:

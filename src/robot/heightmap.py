@@ -5,26 +5,27 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
+
 from see2act.robot.types import Heightmap, RobotError
 from see2act.robot.workspace import Workspace
 
 CRACK = 2.0
-"""Holes within this many pixels of a reading are cracks between samples and take the nearest value."""
+"""A pixel without a reading is a crack between samples if a reading is within this many pixels. It takes the nearest value."""
 WALL = 0.002
-"""Points nearer than this to the workspace's border, in metres, are of the bin's wall, moved inside by noise."""
+"""Points nearer than this to the workspace's border belong to the bin's wall, moved inside by noise, metres."""
 FLOOR = 0.01
-"""Readings lower than this, in metres, are of the floor."""
+"""Readings lower than this belong to the floor, metres."""
 
 
 def point_cloud(
     depth: Float[np.ndarray, "h w"], intrinsics: Float[np.ndarray, "3 3"], pose: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """World points in metres of every image pixel.
+    """World point in metres of every image pixel.
 
     Args:
         depth: Metres along the optical axis.
         intrinsics: Pinhole matrix, pixels.
-        pose: Camera to world; x right, y down, z forward in the image.
+        pose: Camera to world; in the camera's frame x is right, y down and z forward.
     """
     h, w = depth.shape
     x = ((np.arange(w) + 0.5 - intrinsics[0, 2]) / intrinsics[0, 0]).astype(np.float32)
@@ -38,10 +39,10 @@ def point_cloud(
 def highest(
     points: Float[np.ndarray, "h w 3"], seen: np.ndarray, workspace: Workspace
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each cell that holds a point, the image index of its highest one.
+    """Find the highest point in each cell that has one.
 
     Returns:
-        rows, cols and flat image indices, each of length n (cells with a point).
+        Rows and columns of the cells, and flat image indices of their highest points; each of length n (cells with a point).
     """
     flat = points.reshape(-1, 3)
     _, width = workspace.shape
@@ -51,7 +52,7 @@ def highest(
     rows, cols = workspace.to_pixel(flat[order, 0], flat[order, 1])
     cell = rows * width + cols
     winner = np.full(workspace.shape[0] * width, -1)
-    winner[cell] = order  # the last write wins, and the highest point comes last
+    winner[cell] = order  # the highest point is written last and stays
     cells = np.flatnonzero(winner >= 0)
     return cells // width, cells % width, winner[cells]
 
@@ -59,11 +60,11 @@ def highest(
 def project(color: np.ndarray, depth: np.ndarray, points: np.ndarray, workspace: Workspace) -> Heightmap:
     """The heightmap of one RGB-D image.
 
-    Cells without a reading are filled: cracks with the nearest reading, larger holes (space hidden from
-    the camera) with the nearest reading of the floor; ``valid`` is False in both.
+    Cells without a reading are filled: cracks with the nearest reading, and larger holes (space hidden from the camera) with
+    the nearest reading of the floor. ``valid`` is False in both.
 
     Raises:
-        RobotError: The depth holds NaN, or nothing of the workspace is in view.
+        RobotError: The depth has values that are not finite, or no point is in the workspace.
     """
     if not np.isfinite(depth).all():
         raise RobotError(f"the depth image holds {np.count_nonzero(~np.isfinite(depth))} values that are not finite")
@@ -76,7 +77,7 @@ def project(color: np.ndarray, depth: np.ndarray, points: np.ndarray, workspace:
 def fill_in(
     color: np.ndarray, points: np.ndarray, cells: tuple[np.ndarray, np.ndarray, np.ndarray], shape: tuple[int, int]
 ) -> Heightmap:
-    """The heightmap of ``shape`` whose ``cells`` (rows, columns, image indices, as :func:`highest` gives them) were seen."""
+    """A heightmap of ``shape`` from the ``cells`` with a reading (rows, columns, image indices, as from :func:`highest`)."""
     rows, cols, index = cells
     valid = np.zeros(shape, bool)
     height = np.zeros(shape, np.float32)
@@ -93,10 +94,10 @@ def fill_in(
 
 
 def fill(valid: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Where each cell takes its value from.
+    """Find the cell from which each cell takes its value.
 
     Returns:
-        The row and column of the nearest valid cell, and whether that is near enough to trust (a crack).
+        Row and column of the nearest valid cell, and whether it is near enough that the cell is only a crack.
     """
     distance, (rows, cols) = ndimage.distance_transform_edt(~valid, return_indices=True)
     return (rows, cols), distance <= CRACK

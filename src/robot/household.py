@@ -1,4 +1,4 @@
-"""Shapes after the objects of the paper's real set-up: toy blocks, fruit, decorative and office objects."""
+"""Shapes modelled on the objects of the paper's real set-up: toy blocks, fruit, decorative and office objects."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import trimesh
+
 from see2act.robot.solids import box, cone, cylinder, ellipsoid, half_round, prism, ring
 
 Parts = list[trimesh.Trimesh]
@@ -17,14 +18,14 @@ def _polygon(sides: int, radius: float, turn: float = 0.0) -> np.ndarray:
 
 
 def _star(points: int, inner: float, outer: float, height: float) -> Parts:
-    """A polygon with a triangle on each of its sides."""
+    """A star: a regular polygon with a triangle on each side."""
     core, tips = _polygon(points, inner), _polygon(points, outer, np.pi / points)
     triangles = [np.array([core[i], core[(i + 1) % points], tips[i]]) for i in range(points)]
     return [prism(corners, height) for corners in (core, *triangles)]
 
 
 def _arc(radius: float, thick: float, sweep: float, parts: int) -> Parts:
-    """A bent bar, thinner at its ends: a banana or a moon."""
+    """A bent bar with thinner ends: a banana or a moon."""
     turns = np.linspace(-sweep / 2, sweep / 2, parts + 1)
     width = thick * (0.55 + 0.45 * np.cos(turns / sweep * 2.6))
     segments = []
@@ -80,12 +81,12 @@ HOUSEHOLD: dict[str, Callable[[], Parts]] = {
     "glue": lambda: [cylinder(0.015, 0.075, sides=16)],
     "stamp": lambda: [box(0.044, 0.032, 0.018), cylinder(0.012, 0.034, (0, 0, 0.026), 12)],
     "nut": lambda: ring(0.012, 0.030, 0.022, 6),
-    # looked through by the depth sensor
+    # transparent for the depth sensor
     "tumbler": lambda: [cone(0.024, 0.032, 0.062)],
     "vial": lambda: [cylinder(0.016, 0.070, sides=16)],
 }
-"""Metres at scale 1, convex parts.
+"""Convex parts by object, metres at scale 1.
 
-Whatever an object rests on, a face of it looks up within the cup's 30 degrees, and none is so round that an 18 mm cup cannot
-follow it: what no cup can hold stays in the bin and takes up the attempts of every test run.
+Whichever side an object rests on, a face points up within the cup's 30 degrees, and no such face is too round for an 18 mm
+cup to follow. An object that no cup can hold would stay in the bin and use up the attempts of every test run.
 """

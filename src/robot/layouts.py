@@ -1,4 +1,4 @@
-"""Settled scenes, kept so that each is dropped once."""
+"""Stored layouts of settled scenes, so that each scene is dropped only once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from see2act.files import read_json, write_json
 from see2act.robot.types import Split
 
 Refusal = Literal["restless", "spilled", "scattered"]
-"""Why a scene is dropped again: objects that do not come to rest, that lie outside the bin, that lie apart."""
+"""Why a scene is dropped again: objects do not come to rest, lie outside the bin, or lie too far apart."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class Layout:
-    """What lies where in a settled scene."""
+    """The objects of a settled scene and their poses."""
 
     objects: tuple[Placed, ...]
     refused: tuple[Refusal, ...] = ()
@@ -36,20 +36,20 @@ class Layout:
 
 
 class Layouts:
-    """Layouts by scene, in a folder of small files; processes may share it.
+    """Layouts by scene, in a folder of small files. Several processes may use it at the same time.
 
     Args:
-        folder: Of scenes that were all made alike: by the same code, packages, bin and objects. None keeps nothing.
+        folder: Folder for scenes made by the same code and packages, with the same bin and objects. None stores nothing.
     """
 
     def __init__(self, folder: Path | None):
         self._folder = folder
 
     def get(self, scene_seed: int, split: Split, count: int | None) -> Layout | None:
-        """The layout of a scene, or None where it was not kept.
+        """The layout of a scene, or None if it is not stored.
 
         Raises:
-            DamagedFile: Its file is no JSON.
+            DamagedFile: The file is not valid JSON.
         """
         path = self._path(scene_seed, split, count)
         if path is None or not path.exists():
@@ -62,7 +62,7 @@ class Layouts:
         return Layout(tuple(objects), tuple(kept["refused"]))
 
     def keep(self, layout: Layout, scene_seed: int, split: Split, count: int | None) -> None:
-        """Write a layout; JSON keeps every bit of a float."""
+        """Store a layout. JSON keeps floats exactly."""
         path = self._path(scene_seed, split, count)
         if path is not None:
             write_json(path, asdict(layout))

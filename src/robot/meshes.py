@@ -1,4 +1,4 @@
-"""Objects that nobody here shaped: mesh files, made convex, centred and brought to a size that fits the gripper."""
+"""Objects from mesh files: split into convex parts, centred, and scaled to a size that fits the gripper."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pybullet_data
 import trimesh
+
 from see2act.robot.objects import ObjectSet, Shape, centred
 from see2act.robot.solids import read_mesh
 from see2act.robot.types import RobotError
@@ -18,15 +19,15 @@ from see2act.robot.types import RobotError
 log = logging.getLogger("see2act")
 ENDINGS = (".obj", ".stl")
 CONVEX = 0.95
-"""Share of its convex hull that a mesh fills at least to be taken for convex."""
+"""A mesh counts as convex if it fills more than this share of its convex hull."""
 PARTS, RESOLUTION = 16, 100_000
-"""Convex parts that a body is cut into at most, and the voxels that V-HACD sees of it: a second or two a body."""
+"""Maximum number of convex parts per body, and number of voxels that V-HACD uses: a second or two per body."""
 EMPTY = ("168",)
-"""Of PyBullet's thousand, those whose files have no vertex that is a number."""
+"""Those of PyBullet's thousand objects whose files have no valid vertex."""
 MOST_PARTS = 100
-"""Convex parts of an object at most: contacts are computed between all parts of neighbours."""
+"""Maximum number of convex parts of an object. Contacts are computed between all parts of neighbouring objects."""
 SMALLEST, LARGEST = 0.01, 0.15
-"""Metres between which the sides of an object's bounding box must lie: a finger's width, and what lies flat in a bin of ten."""
+"""Bounds for the sides of an object's bounding box, metres: the width of a finger, and what can lie flat among ten objects."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,9 @@ class MeshSet(ObjectSet):
     """Objects from files.
 
     Args:
-        files: Where each object's mesh is, by name.
-        unit: Metres a unit of the files.
-        width: Metres to which the middle side of each object's bounding box is brought; None leaves sizes as they are.
+        files: Path of each object's mesh, by name.
+        unit: Metres per unit of the files.
+        width: Metres to which the middle side of each object's bounding box is scaled; None keeps the sizes of the files.
     """
 
     files: dict[str, Path] = field(default_factory=dict)
@@ -57,7 +58,7 @@ class MeshSet(ObjectSet):
         return mesh_shape(name, self.files[name], self.unit, self.width)
 
     def _check(self, name: str) -> None:
-        """Nothing: there may be hundreds of files, and whoever lists them knows what to look at."""
+        """Check nothing: there may be hundreds of files. The functions that make a set check what they need."""
 
 
 def random_urdfs(
@@ -70,16 +71,16 @@ def random_urdfs(
     density: float,
     opening: float,
 ) -> MeshSet:
-    """The thousand procedural objects that come with PyBullet, but for one that is empty, the last ones by name unseen.
+    """The thousand procedural objects that come with PyBullet, except for an empty one. The last ones by name are unseen.
 
     Args:
-        name: The word people type.
-        held_out: How many are unseen.
-        width: Metres of the middle side of each at scale 1; the longest is brought to 15 cm if it would be longer.
-        kinds, copies, scale, density, opening: As of :class:`ObjectSet`.
+        name: Name used in the configuration.
+        held_out: Number of unseen objects.
+        width: Middle side of each object at scale 1, metres; smaller where the longest side would exceed 15 cm.
+        kinds, copies, scale, density, opening: As for :class:`ObjectSet`.
 
     Raises:
-        RobotError: The largest would not fit the gripper.
+        RobotError: The largest object would not fit the gripper.
     """
     root = Path(pybullet_data.getDataPath()) / "random_urdfs"
     files = {f"urdf{path.stem}": path for path in sorted(root.glob("*/*.obj")) if path.stem not in EMPTY}
@@ -99,19 +100,19 @@ def folder(
     density: float,
     opening: float,
 ) -> MeshSet:
-    """All OBJ and STL files in a folder, the last ones by name unseen.
+    """All OBJ and STL files in a folder. The last ones by name are unseen.
 
     Args:
-        name: The word people type.
-        path: The folder; those in it are searched too.
-        unit: Metres a unit of the files: 0.001 for millimetres.
-        held_out: Share of them that is unseen.
-        width: Metres of the middle side of each at scale 1; None leaves sizes as they are.
-        kinds, copies, scale, density, opening: As of :class:`ObjectSet`.
+        name: Name used in the configuration.
+        path: The folder. Its subfolders are searched too.
+        unit: Metres per unit of the files: 0.001 for millimetres.
+        held_out: Share of the objects that is unseen.
+        width: Middle side of each object at scale 1, metres; None keeps the sizes of the files.
+        kinds, copies, scale, density, opening: As for :class:`ObjectSet`.
 
     Raises:
-        RobotError: The folder is none or has too few files, two have the same name, or an object has no volume or does not
-            fit the gripper or the bin.
+        RobotError: The folder does not exist or has too few files; two files have the same name; or an object has no volume,
+            or does not fit the gripper or the bin.
     """
     files = _mesh_files(path)
     unseen = round(held_out * len(files))
@@ -128,10 +129,10 @@ def folder(
 
 
 def _mesh_files(path: str) -> dict[str, Path]:
-    """The OBJ and STL files in a folder and those within it, by the names that objects take from them.
+    """The OBJ and STL files in a folder and its subfolders, by object name, which is the file's name without its ending.
 
     Raises:
-        RobotError: There is no such folder, or two files have the same name.
+        RobotError: The folder does not exist, or two files have the same name.
     """
     root = Path(path).expanduser()
     if not root.is_dir():
@@ -151,13 +152,13 @@ def _split(files: dict[str, Path], unseen: int) -> tuple[tuple[str, ...], tuple[
 
 @cache
 def mesh_shape(name: str, file: Path, unit: float, width: float | None) -> Shape:
-    """A mesh file as convex parts: its bodies, each cut into convex parts unless it nearly fills its hull.
+    """Convert a mesh file to convex parts. Each of its bodies is decomposed unless it nearly fills its convex hull.
 
     Raises:
-        RobotError: The file is missing, no mesh, has no volume, or would have more than ``MOST_PARTS`` parts.
+        RobotError: The file is missing, is not a mesh, has no volume, or gives more than ``MOST_PARTS`` parts.
     """
     mesh = read_mesh(file)
-    # Files keep a vertex apart for each normal and each texture coordinate it has: without this a cube is six faces.
+    # Files repeat a vertex for each of its normals and texture coordinates. Without this a cube would be six separate faces.
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     bodies = [body for body in mesh.split(only_watertight=False) if _solid(body)]
     hulls = [hull for body in bodies or [mesh] for hull in _convex(body, file)]
@@ -171,13 +172,13 @@ def mesh_shape(name: str, file: Path, unit: float, width: float | None) -> Shape
 
 
 def _solid(body: trimesh.Trimesh) -> bool:
-    """Not flat: labels and ground planes are no bodies."""
+    """Whether a body is not flat. Labels and ground planes are flat and not counted as bodies."""
     sides = np.sort(body.extents)
     return bool(len(body.faces) > 3 and sides[0] > 1e-3 * sides[2])
 
 
 def _convex(mesh: trimesh.Trimesh, file: Path) -> list[trimesh.Trimesh]:
-    """Its hull, or its decomposition by V-HACD (Mamou 2016); what is not closed has no inside, and is its hull."""
+    """The convex hull of a mesh, or its decomposition by V-HACD (Mamou 2016). A mesh that is not closed becomes its hull."""
     hull = mesh.convex_hull
     if mesh.is_watertight:
         trimesh.repair.fix_normals(mesh)

@@ -1,4 +1,4 @@
-"""The objects in the bin: shapes from installed packages and shapes built from convex parts."""
+"""The objects in the bin: shapes from installed packages, and shapes built from convex parts."""
 
 from __future__ import annotations
 
@@ -9,42 +9,43 @@ from functools import cache
 
 import numpy as np
 import trimesh
+
 from see2act.robot.household import HOUSEHOLD
 from see2act.robot.solids import box, half_round, rgb_object
 from see2act.robot.textures import TEXTURES
 from see2act.robot.types import RobotError, Split
 
 TILE = 0.03
-"""Metres of a surface that a texture covers."""
+"""Side of the square that one tile of a texture covers, metres."""
 GRIPPER_OPENING = 0.080
-"""Metres between the open pads of the 2F-85 (0.086), less room for an error of placing."""
+"""Opening of the 2F-85 (0.086 m) minus a margin for placement errors, metres."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A rigid shape as convex parts, metres, origin at its centre of volume."""
+    """A rigid shape made of convex parts, in metres. The origin is at its centre of volume."""
 
     name: str
     parts: tuple[trimesh.Trimesh, ...]
 
     @property
     def volume(self) -> float:
-        """Cubic metres. Parts touch but do not overlap."""
+        """Cubic metres. The parts may touch but do not overlap."""
         return float(sum(part.volume for part in self.parts))
 
     @property
     def width(self) -> float:
         """Metres that a gripper must span: the middle side of the bounding box of the largest part.
 
-        Whichever face that lies on, one of its two horizontal sides is no longer than the middle one.
+        Whichever face of that box is at the bottom, one of the two horizontal sides is no longer than the middle side.
         """
         largest = max(self.parts, key=lambda part: part.volume)
         return float(np.sort(largest.extents)[1])
 
     def obj(self) -> str:
-        """Wavefront text with one ``o`` group a part: Bullet makes each group a convex hull of its own.
+        """Wavefront OBJ text with one ``o`` group per part. Bullet makes a separate convex hull of each group.
 
-        Textures are laid on every face from the axis that it faces most, a tile each 3 cm.
+        Each face is textured by projection along the axis that it faces most, with one tile every 3 cm.
         """
         lines, vertices, faces = [], 1, 0
         for i, part in enumerate(self.parts):
@@ -63,23 +64,23 @@ class Shape:
 
 @dataclass(frozen=True)
 class ObjectSet:
-    """Which objects there are and how they vary.
+    """A set of objects, and how they vary.
 
     Args:
-        name: The word people type.
-        seen: Names from the catalogue that training uses.
-        unseen: Names kept for evaluation.
-        kinds: Different objects in a scene.
-        copies: Copies of each.
-        scale: Smallest and largest factor, drawn for each copy.
+        name: Name used in the configuration.
+        seen: Names from the catalogue for training.
+        unseen: Names from the catalogue that are kept for evaluation.
+        kinds: Number of different objects in a scene.
+        copies: Number of copies of each.
+        scale: Smallest and largest scale factor; a factor is drawn for each copy.
         density: kg/m^3; 250 is a hollow plastic toy.
-        opening: Metres that the widest object may span, or it does not fit between the open pads.
+        opening: Metres that the widest object may span; wider ones do not fit between the open pads.
         textures: Names from :mod:`see2act.robot.textures`, by object.
-        transparent: Objects that the depth sensor looks through.
+        transparent: Objects that the depth sensor sees through.
 
     Raises:
-        RobotError: An object is unknown or too wide, is both seen and unseen, or there are too few; scale or density are none;
-            or a texture is unknown.
+        RobotError: An object is unknown, too wide, or both seen and unseen; there are too few objects; ``scale``, ``density``,
+            ``kinds`` or ``copies`` is out of range; or a texture is unknown.
     """
 
     name: str
@@ -130,7 +131,7 @@ class ObjectSet:
         """The shape of an object at scale 1.
 
         Raises:
-            RobotError: There is none of this name, or its mesh file is missing or has no volume.
+            RobotError: There is no object of this name, or its mesh file is missing or has no volume.
         """
         if name not in CATALOGUE:
             raise RobotError(f"no object is called '{name}'; choose from {', '.join(sorted(CATALOGUE))}")
@@ -139,7 +140,7 @@ class ObjectSet:
 
 @cache
 def shape(name: str) -> Shape:
-    """A shape of the catalogue, centred.
+    """A shape of the catalogue, centred at its centre of volume.
 
     Raises:
         RobotError: Its mesh file is missing or has no volume.
@@ -148,7 +149,7 @@ def shape(name: str) -> Shape:
 
 
 def centred(name: str, parts: Sequence[trimesh.Trimesh]) -> Shape:
-    """Convex parts as a shape with its centre of volume at the origin.
+    """Combine convex parts into a shape whose centre of volume is at the origin.
 
     Raises:
         RobotError: A part has no volume.
@@ -162,9 +163,9 @@ def centred(name: str, parts: Sequence[trimesh.Trimesh]) -> Shape:
     return Shape(name, tuple(parts))
 
 
-# All sizes in metres at scale 1. Whatever face an object rests on, another one looks up within the cup's tilt: opposite
-# sides are parallel, tapers are mild, and notches shallow, so that no shape leans on its tips with all faces askew. Faces
-# are at least 28 mm wide, 22 mm at scale 0.8, for a cup of 18 mm.
+# All sizes are in metres at scale 1. Whichever face an object rests on, another face points up within the cup's tilt. For
+# this, opposite sides are parallel, tapers are mild and notches are shallow, so that no shape can lean on its tips with all
+# faces tilted. Faces are at least 28 mm wide (22 mm at scale 0.8), for a cup of 18 mm.
 CATALOGUE: dict[str, Callable[[], list[trimesh.Trimesh]]] = {
     "cube": lambda: [box(0.045, 0.045, 0.045)],
     "brick": lambda: [box(0.075, 0.045, 0.03)],
@@ -191,11 +192,11 @@ CATALOGUE: dict[str, Callable[[], list[trimesh.Trimesh]]] = {
 
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """A uniform unit quaternion, xyzw."""
+    """A uniformly random unit quaternion, xyzw."""
     q = rng.normal(size=4)
     return q / np.linalg.norm(q)
 
 
 def random_color(rng: np.random.Generator) -> tuple[float, float, float]:
-    """RGB, 0 to 1: any hue, neither pale nor dark."""
+    """A random colour, RGB in 0..1: any hue, neither pale nor dark."""
     return colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.5, 1.0), rng.uniform(0.5, 1.0))

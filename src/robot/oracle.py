@@ -1,7 +1,7 @@
-"""Where a pick would succeed, planned from the objects' poses and meshes: what is possible, beside what was learned.
+"""An oracle that plans picks from the true poses and meshes of the objects. It shows how well a policy could do.
 
-The oracle casts rays at the collision meshes where they lie. It never tries a pick in the simulator, and what it
-chooses is executed as any other pixel is: at the height that the camera sensed there.
+The oracle casts rays at the collision meshes. It never tries a pick in the simulator. Its picks are executed like any other
+pick, at the height that the camera sensed at the chosen pixel.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int
+
 from see2act.robot.gripper import Gripper
 from see2act.robot.robot import SimulatedRobot
 from see2act.robot.suction import SuctionCup
@@ -18,14 +19,14 @@ from see2act.robot.types import RobotError
 HOPELESS = -1000.0
 """Logit of a pick that the oracle rules out."""
 UNCHECKED = -200.0
-"""Of picks on an object that were not looked at closely."""
+"""Logit of picks on an object that were not checked in detail."""
 
 
 def oracle(robot: SimulatedRobot, angles: int) -> Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "A H W"]]:
-    """How well each pick of ``robot``'s tool would go: (color, height) of an observation to logits of ``angles`` x pixels.
+    """An oracle for the tool of ``robot``: a function from (color, height) of an observation to logits of every pick.
 
     Raises:
-        RobotError: There is no oracle for this end effector.
+        RobotError: No oracle exists for this end effector.
     """
     if isinstance(robot.tool, SuctionCup):
         return _SuctionOracle(robot, robot.tool)
@@ -35,7 +36,7 @@ def oracle(robot: SimulatedRobot, angles: int) -> Callable[[np.ndarray, np.ndarr
 
 
 class ExactHeights:
-    """The scene from straight above, exactly: height and body of each cell of the workspace."""
+    """The exact height and body id of each workspace cell, seen from straight above."""
 
     def __init__(self, robot: SimulatedRobot):
         rows, cols = np.indices(robot.workspace.shape)
@@ -48,7 +49,7 @@ class ExactHeights:
 
 
 class _SuctionOracle:
-    """The cup's whole rim on one flat face, near the middle of an object with little on top of it."""
+    """Prefers pixels where the whole rim is on one flat face, near the middle of an object with little on top of it."""
 
     def __init__(self, robot: SimulatedRobot, cup: SuctionCup):
         self._robot, self._cup = robot, cup
@@ -57,7 +58,7 @@ class _SuctionOracle:
         robot, cup = self._robot, self._cup
         top, centres = ExactHeights(robot), robot.scene.positions()
         logits = np.full(height.shape, HOPELESS)
-        # A cup sent too deep is stopped by force; one sent too high, for the sensed height is wrong, meets nothing.
+        # If the sensed height is too low, force stops the descent. If it is too high, the cup does not reach the object.
         cells = np.isin(top.body, list(centres)) & (height - top.height < 0.8 * cup.press)
         points, bodies, off_height = top.points[cells], top.body[cells], np.abs(height - top.height)[cells]
         if not len(points):
@@ -74,25 +75,25 @@ class _SuctionOracle:
         lever = np.linalg.norm(points[:, :2] - at[:, :2], axis=1)
         burden = _burdens(robot)
         load = np.array([burden[body] for body in bodies])
-        # Weights in metres of lever: 20 degrees of tilt, or another object's weight on top, are worth 2 cm.
+        # Everything is weighed in metres of lever: 20 degrees of tilt, or one object on top, count as much as 2 cm.
         score = 5 - 100 * (lever + 0.02 * tilt / np.radians(20) + 0.02 * load + off_height)
-        # Where nothing suits the cup, it presses on the flattest place: what leans there may fall over.
+        # If no pixel suits the cup, it presses on the flattest one, so that a leaning object there may fall over.
         logits[cells] = np.where(good, score, -10 - tilt - 1000 * off_plane)
         return logits[None]
 
 
 class _GraspOracle:
-    """Open fingers that come down beside an object, and pads that close on two opposite faces of it alone.
+    """Prefers grasps whose open fingers have room beside an object, and whose pads close on two opposite faces of it only.
 
-    Where no pick has all of this, the least bad one wins.
+    If no grasp meets all of these conditions, the one with the fewest faults wins.
     """
 
     COARSE, FINE = 1000, 60
-    """Picks an object that are checked for room, and for how the pads would close, of all its cells and angles."""
+    """Picks per object, out of all its cells and angles, that are checked for room, and then for how the pads would close."""
     LATERAL = np.array([-0.008, 0.0, 0.008])
-    """Where rays run across the pads (22 mm wide), metres from their middle."""
+    """Offsets of the rays across the width of the pads (22 mm), metres from their middle."""
     LEVELS = np.array([-0.012, -0.004, 0.004, 0.012])
-    """The same along the pads (37 mm high)."""
+    """Offsets of the rays along the height of the pads (37 mm), metres from their middle."""
 
     def __init__(self, robot: SimulatedRobot, gripper: Gripper, angles: int):
         self._robot, self._gripper = robot, gripper
@@ -109,7 +110,7 @@ class _GraspOracle:
             rows, cols = np.nonzero(top.body == body)
             if not len(rows):
                 continue
-            # All picks on this object, (cells x angles) in a row.
+            # All picks on this object as flat arrays of length cells x angles.
             angle = np.tile(np.arange(len(self._angles)), len(rows))
             rows, cols = (np.repeat(i, len(self._angles)) for i in (rows, cols))
             jaw = np.column_stack([np.cos(self._angles), np.sin(self._angles), np.zeros(len(self._angles))])[angle]
@@ -118,7 +119,7 @@ class _GraspOracle:
             across = np.abs(np.cross(jaw, points - centre)[:, 2])
             along = np.abs(((points - centre) * jaw).sum(1))
             coarse = -100 * across - 40 * along - 2 * burdens[body]
-            logits[angle, rows, cols] = UNCHECKED + coarse  # for when all that is checked has failed
+            logits[angle, rows, cols] = UNCHECKED + coarse  # used if every checked pick fails
             best = np.argsort(coarse, kind="stable")[-self.COARSE :]
             overlap = self._overlap(top, points[best], jaw[best])
             roomy = np.argsort(coarse[best] - 1000 * overlap, kind="stable")[-self.FINE :]
@@ -128,7 +129,7 @@ class _GraspOracle:
         return logits
 
     def _overlap(self, top: ExactHeights, points: np.ndarray, jaw: np.ndarray) -> Float[np.ndarray, " n"]:
-        """Metres by which the open gripper, coming straight down to ``points``, would have to go through something."""
+        """Metres by which the open gripper would penetrate something on its way straight down to ``points``."""
         assert self._underside is not None
         offsets, under = self._underside
         across = np.cross([0, 0, 1], jaw)
@@ -140,12 +141,12 @@ class _GraspOracle:
         return (scene - points[:, 2:] - under + 0.001).max(1).clip(0)
 
     def _closing(self, points: np.ndarray, body: int, jaw: np.ndarray) -> Float[np.ndarray, " n"]:
-        """How well closing pads would hold: 0 where all is well, less for each fault."""
+        """A score for how well the closing pads would hold: lower for each fault."""
         n, across = len(points), np.cross([0, 0, 1], jaw)
         grid = self.LATERAL[None, :, None, None] * across[:, None, None] + self.LEVELS[:, None] * np.array([0, 0, 1])
         grid = grid.reshape(n, -1, 3)
         width = np.full(n, 0.05)
-        for _ in range(2):  # the pads swing down as they close, by how much depends on the width that they meet
+        for _ in range(2):  # the pads swing down as they close; how far depends on the width of the object
             at = points[:, None] + grid - self._gripper.swing(width)[:, None, None] * [0, 0, 1]
             sides = [self._side(at, body, sign * jaw) for sign in (-1, 1)]
             reach = np.array([side[0].max(1) for side in sides])
@@ -162,11 +163,12 @@ class _GraspOracle:
         return np.where(graspable, score, -20)
 
     def _side(self, at: np.ndarray, body: int, inward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What one pad meets on its way in.
+        """What one pad meets while it closes.
 
         Returns:
-            For each ray, metres from the middle at which it meets the body (minus infinity: not at all) and the cosine
-            between the face there and the pad; and for each pick, whether the pad meets no other object.
+            For each ray, the distance from the middle at which it meets the body in metres (minus infinity if it does not),
+            and the cosine of the angle between the face there and the pad. For each pick, whether the pad meets no other
+            object.
         """
         n, rays, _ = at.shape
         half = 0.49 * self._gripper.opening(0.0) * inward[:, None]
@@ -178,7 +180,7 @@ class _GraspOracle:
 
 
 def _plane(points: Float[np.ndarray, "n k 3"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Largest distance of each set of points from its plane in metres, and the plane's tilt in radians."""
+    """Largest distance in metres of each set of points from its best-fit plane, and the tilt of the plane in radians."""
     centred = points - points.mean(1, keepdims=True)
     normal = np.linalg.svd(centred, full_matrices=False)[2][:, 2]
     off = np.abs(np.einsum("nkd,nd->nk", centred, normal)).max(1)
@@ -186,7 +188,7 @@ def _plane(points: Float[np.ndarray, "n k 3"]) -> tuple[Float[np.ndarray, " n"],
 
 
 def _burdens(robot: SimulatedRobot) -> dict[int, int]:
-    """How many objects lie on each object, by body id."""
+    """Number of objects that lie on each object, by body id."""
     at = robot.scene.positions()
     burdens = dict.fromkeys(at, 0)
     for body in at:
@@ -196,7 +198,11 @@ def _burdens(robot: SimulatedRobot) -> dict[int, int]:
 
 
 def _underside(robot: SimulatedRobot) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
-    """The open gripper from below, at home: offsets along and across the jaws, and metres above the pads' middle."""
+    """The underside of the open gripper, measured at home.
+
+    Returns:
+        Offsets along and across the jaws in metres, and heights above the middle of the pads in metres.
+    """
     along, across = np.meshgrid(np.arange(-0.1, 0.1001, 0.004), np.arange(-0.02, 0.0201, 0.004), indexing="ij")
     centre = robot.arm.tool_position() - [0, 0, robot.tool.length()]
     jaw = robot.arm.tool_rotation()[:, 0]

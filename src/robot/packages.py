@@ -10,7 +10,7 @@ from see2act.robot.types import RobotError
 
 
 def package_file(distribution: str, pattern: str) -> Path:
-    """The first file of an installed package whose path matches a shell pattern, in which ``*`` matches ``/`` too.
+    """The first file of an installed package whose path matches a shell pattern. Here ``*`` also matches ``/``.
 
     Raises:
         RobotError: The package is not installed, or has no such file.

@@ -1,4 +1,4 @@
-"""The robot's interface, and the UR5 in simulation that implements it."""
+"""The robot interface, and a simulated UR5 that implements it."""
 
 from __future__ import annotations
 
@@ -26,45 +26,46 @@ from see2act.seeding import generator
 LIFT = 0.10
 """Metres (paper, section III-C)."""
 HELD = 0.05
-"""Metres that an object must have risen to count as truly held: half the lift."""
+"""Metres that an object must have risen to count as truly held: half of the lift."""
 HOLD_STEPS = 40
-"""Timesteps that a hold must last after the lift before it is read."""
+"""Timesteps to wait after the lift before the sensor is read; the hold must last that long."""
 SPARE = 0.005
-"""Metres that a jump of the descent stays above anything that the tool could touch."""
+"""Metres between the end of the jump in a descent and the first thing that the tool could touch."""
 REBUILDS = 20
+"""Times that a scene is dropped before the robot gives up."""
 MOTIONS = ("fast", "full")
 
 
 class Robot(ABC):
-    """What learning needs of a robot: a class for another one implements the methods without a body here."""
+    """The interface between learning and a robot. To add another robot, subclass this and implement the abstract methods."""
 
     workspace: Workspace
     primitive: str
     half_opening: float = 0.0
-    """Metres from a pick to each open jaw, along the pick's angle; 0 where the tool has none. For pictures."""
+    """Metres from a pick to each open jaw, along the pick's angle; 0 for a tool without jaws. Used in figures only."""
     repeatable: bool = False
-    """Whether the same picks in a scene of the same seed always end alike, so that no test run need be made twice."""
+    """Whether the same picks in a scene of the same seed always have the same outcomes, so that test runs can be reused."""
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
-        """Fill the bin anew; the scene and its sensor noise follow from ``scene_seed`` alone.
+        """Empty the bin and fill it with a new scene. ``scene_seed`` determines the scene and its sensor noise.
 
         Args:
-            scene_seed: Of the scene.
-            split: Which objects.
-            count: Put only that many of the scene's objects in; None for all.
+            scene_seed: Seed of the scene.
+            split: Which objects to use.
+            count: Put in only this many of the scene's objects; None for all of them.
 
         Raises:
-            RobotError: No scene comes about.
+            RobotError: No valid scene could be made.
         """
 
     @abstractmethod
     def background(self) -> Heightmap:
-        """The empty bin. Clears the scene: call it before :meth:`reset`."""
+        """Heightmap of the empty bin. It clears the scene, so call it before :meth:`reset`."""
 
     @abstractmethod
     def observe(self) -> Observation:
-        """Look at the bin with the arm at home.
+        """Take an image of the bin while the arm is at home.
 
         Raises:
             RobotError: Nothing of the workspace is in view.
@@ -72,7 +73,7 @@ class Robot(ABC):
 
     @abstractmethod
     def execute(self, pick: Pick) -> Outcome:
-        """Run the motion primitive open loop, take a held object away, return home."""
+        """Execute the motion primitive open loop, remove an object that is held, and return home."""
 
     @abstractmethod
     def bin_empty(self) -> bool:
@@ -80,47 +81,47 @@ class Robot(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Give resources back."""
+        """Release all resources."""
 
     def truth(self) -> Truth:
-        """What is really in the bin, for labels; from a robot that can only sense, what it senses (use ``labels=vision``)."""
+        """What is really in the bin, for labels. By default this is what the robot senses; then use ``labels=vision``."""
         heightmap = self.observe().heightmap
         return Truth(heightmap, np.full(heightmap.height.shape, -1))
 
     def film(self, path: Path) -> AbstractContextManager[None]:
-        """Keep a video of what happens in the block as an MP4 at ``path``, if this robot is set to; by default it is not."""
+        """Record what happens in the block as an MP4 at ``path``, if the robot supports it. The default records nothing."""
         return nullcontext()
 
 
 @dataclass
 class _Contact:
-    """What the tool ran into during a descent."""
+    """What the tool touched during a descent."""
 
     object: bool = False
-    """Whether it touched any."""
+    """Whether it touched any object."""
     wall: float = 0.0
-    """Newtons from the bin's walls, at the last look."""
+    """Force of the bin's walls on the robot at the last check, newtons."""
 
 
 class SimulatedRobot(Robot):
     """A UR5 over a bin in PyBullet.
 
     Args:
-        workspace: The heightmap's grid; the bin is as large.
+        workspace: Grid of the heightmap; the bin has the same size.
         camera: The RGB-D camera.
-        objects: What lies in the bin.
-        end_effector: The tool, and with it the primitive.
-        arm: The arm's place and speeds.
-        bin: The bin's walls and the waiting times.
-        clearance: World z in metres of the tool's tip at which free motion ends and the descent begins.
-        motion: ``full`` steps through every motion. ``fast`` jumps where there is nothing to touch: between home and the point
-            above a pick, down from there until just above the first thing under the tool, and also up again with empty hands,
-            which leaves what it would have dragged along where it is. ``robot_seconds`` counts it all the same.
-        video: Whether :meth:`film` records, a frame costs 0.1 s, and whether the arm has its looks and the table any.
-        layouts: Folder where settled scenes are kept, of this configuration alone; None drops each anew.
+        objects: The objects that are dropped into the bin.
+        end_effector: The tool, which determines the primitive.
+        arm: Position and speeds of the arm.
+        bin: Walls of the bin, and waiting times.
+        clearance: World z of the tool's tip in metres where free motion ends and the descent begins.
+        motion: ``full`` simulates every timestep. ``fast`` jumps where the tool cannot touch anything: between home and the
+            point above a pick, and from there to just above the first thing under the tool. It also jumps on the way up with
+            an empty tool, so nothing is dragged along there. ``robot_seconds`` includes the jumps.
+        video: Whether :meth:`film` records; a frame takes 0.1 s. It also loads the arm's visual meshes and shows the table.
+        layouts: Folder for settled scenes of this configuration; None drops each scene again.
 
     Raises:
-        RobotError: There is no such motion, the camera sees nothing of the workspace, or home is out of the arm's reach.
+        RobotError: ``motion`` is unknown, the camera does not see the workspace, or the arm cannot reach home.
     """
 
     repeatable = True
@@ -160,7 +161,7 @@ class SimulatedRobot(Robot):
         self._layouts = Layouts(Path(layouts) if layouts else None)
         self._background: Heightmap | None = None
         self.rebuilds: Counter[Refusal] = Counter()
-        """Why scenes were refused, and dropped again from the next sub-seed."""
+        """How often scenes were refused, by reason. A refused scene is dropped again from the next sub-seed."""
 
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
         layout = self._layouts.get(scene_seed, split, count)
@@ -168,14 +169,15 @@ class SimulatedRobot(Robot):
             layout = self._drop(scene_seed, split, count)
             self._layouts.keep(layout, scene_seed, split, count)
         self.rebuilds.update(layout.refused)
-        # From the layout in either case: what settled and what is put back differ in Bullet's memory of contacts.
+        # A scene that has just settled is placed from its layout too. Otherwise it would differ from one that was kept, because
+        # Bullet remembers the contacts of objects that settled, but has none for objects that are put back.
         self._put(layout, count)
         self.scene.paint_floor(generator("floor", scene_seed))
         self._mount()
         self._noise = generator("sensor", scene_seed)
 
     def _drop(self, scene_seed: int, split: Split, count: int | None) -> Layout:
-        """Let a scene come about, without the arm, so that it is the same for every tool."""
+        """Drop objects until they form a valid scene. The arm is not loaded, so the scene is the same for every tool."""
         refused: list[Refusal] = []
         while len(refused) < REBUILDS:
             self.simulation.clear()
@@ -192,13 +194,13 @@ class SimulatedRobot(Robot):
         )
 
     def _put(self, layout: Layout, count: int | None) -> Refusal | None:
-        """A scene from its layout, at rest; why it is no good after all, if it is not. Without the arm, as in :meth:`_drop`."""
+        """Place a scene from its layout and let it rest, without the arm. Returns why the scene is not valid, or None."""
         self.simulation.clear()
         self.scene.build()
         return self.scene.place(layout, count)
 
     def background(self) -> Heightmap:
-        """As promised by :class:`Robot`, seen once and without noise."""
+        """See :class:`Robot`. The image is taken once, without sensor noise."""
         if self._background is None:
             self._build()
             color, depth, _ = self._look()
@@ -228,7 +230,7 @@ class SimulatedRobot(Robot):
         before = self.scene.positions()
         above, at = self._path(pick)
         down = arm.line(above, at, pick.angle, self._config.tool_speed)
-        # The lift starts wherever the descent was stopped, at most where it began.
+        # The lift starts where the descent stopped, at most where it began. So it is enough to check this highest lift.
         up = arm.line(above, above + [0, 0, LIFT], pick.angle, self._config.tool_speed)
         if down is None or up is None:
             return Outcome(False, False, "unreachable", 0.0, 0.0, 0)
@@ -238,7 +240,7 @@ class SimulatedRobot(Robot):
         free = self._room_below_tool()
         down = arm.enter(down, sum(above[2] - arm.position(joints)[2] < free for joints in down))
         blocked = arm.follow(down, until=lambda: self._note_contact(contact) > tool.contact_limit)
-        stopped = blocked and contact.wall > tool.contact_limit / 2  # a protective stop: the arm withdraws at once
+        stopped = blocked and contact.wall > tool.contact_limit / 2  # a protective stop: the arm withdraws immediately
         engaged = False
         if not stopped:
             tool.engage()
@@ -260,7 +262,7 @@ class SimulatedRobot(Robot):
             self.scene.settle()
         lost = self.scene.clear_lost()
         if lost:
-            self.scene.settle()  # what leant on it falls
+            self.scene.settle()  # objects that leaned on it may fall
         return Outcome(success, bool(held), cause, reading, arm.seconds - seconds, self.simulation.steps - steps, lost)
 
     def bin_empty(self) -> bool:
@@ -272,12 +274,12 @@ class SimulatedRobot(Robot):
     def film(self, path: Path) -> AbstractContextManager[None]:
         if not self._video:
             return nullcontext()
-        from see2act.robot.video import film  # imported late: FFmpeg is large, and films are rare
+        from see2act.robot.video import film  # imported late: FFmpeg is large and rarely needed
 
         return film(self.simulation, path)
 
     def _build(self) -> None:
-        """The empty bin and the arm."""
+        """Load the empty bin and the arm."""
         self.simulation.clear()
         self.scene.build()
         self._mount()
@@ -287,7 +289,7 @@ class SimulatedRobot(Robot):
         self.tool.bind(self.simulation, self.arm)
 
     def _look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the camera sees of the bin; not the arm, which a real set-up takes out of the way, nor the table."""
+        """Render the bin without the table and without the arm, which a real set-up would move out of view."""
         with self.simulation.hidden(self.arm.body, self.scene.table):
             return self.camera.render(self.simulation)
 
@@ -319,7 +321,7 @@ class SimulatedRobot(Robot):
         self.arm.wait(HOLD_STEPS, until=tend)
 
     def _room_below_tool(self) -> float:
-        """Metres that the tool can go straight down before it may touch anything; below 0 if it may already."""
+        """Metres that the tool can move straight down before it may touch anything; negative if it may touch something now."""
         box = self.simulation.client.getAABB
         fixed = (self.scene.table, self.scene.floor, *self.scene.walls)
         below = np.array([box(body) for body in (*fixed, *(body.id for body in self.scene.bodies))])
@@ -330,11 +332,11 @@ class SimulatedRobot(Robot):
         return float(room) - SPARE
 
     def _moved(self, before: dict[int, np.ndarray]) -> bool:
-        """Whether an object has left its place; what sleeps stays there to the bit."""
+        """Whether any object has moved. The position of a sleeping object does not change by a single bit."""
         return any(not np.array_equal(at, before[body]) for body, at in self.scene.positions().items())
 
     def _note_contact(self, contact: _Contact) -> float:
-        """Newtons on the robot; remembers in ``contact`` what it touches."""
+        """Contact force on the robot in newtons; also updates ``contact``."""
         points = self.simulation.client.getContactPoints(bodyA=self.arm.body)
         objects = {body.id for body in self.scene.bodies}
         contact.object |= any(point[2] in objects and point[9] > 0 for point in points)
@@ -342,7 +344,7 @@ class SimulatedRobot(Robot):
         return float(sum(point[9] for point in points))
 
     def _held(self, before: dict[int, np.ndarray]) -> set[int]:
-        """Objects that rose with the tool, touch it, and touch nothing of the bin."""
+        """Objects that rose with the tool, are within 5 mm of it, and do not touch the bin."""
         client = self.simulation.client
         held = set()
         for body, position in self.scene.positions().items():
@@ -355,6 +357,6 @@ class SimulatedRobot(Robot):
 
 
 def _corners(workspace: Workspace, height: float) -> np.ndarray:
-    """Of the box that the bin is up to a height in metres, (8, 3)."""
+    """Corners (8, 3) of the box over the bin's floor up to ``height`` metres."""
     x, y = workspace.width / 2, workspace.length / 2
     return np.array([(i, j, k) for i in (-x, x) for j in (-y, y) for k in (0, height)])

@@ -1,4 +1,4 @@
-"""The table, the bin and what lies in it."""
+"""The table, the bin and the objects in it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from see2act.robot.textures import TEXTURES
 from see2act.robot.types import NotNegative, RobotError, Split
 
 AT_REST, TURNING = 0.01, 0.5
-"""m/s and rad/s. What is slower counts as lying still."""
+"""m/s and rad/s. An object that moves and turns more slowly than this counts as still."""
 STILL_CHECKS, STILL_CHECKS_AT_FIRST = 4, 24
-"""Times in a row, ten timesteps apart, that all must lie still, after an attempt and in a new scene: what tips over is slow
-for a moment too."""
+"""Consecutive checks, ten timesteps apart, at which all objects must be still: after an attempt, and in a new scene. A single
+check is not enough, because an object that tips over is also slow for a moment."""
 TOUCHING = 0.001
-"""Metres between two objects that count as touching."""
+"""Two objects nearer than this count as touching, metres."""
 FLOORS = ("plain", "textured")
 SHEET = """v -1 -1 0
 v 1 -1 0
@@ -36,30 +36,30 @@ vn 0 0 1
 f 1/1/1 2/2/1 3/3/1
 f 1/1/1 3/3/1 4/4/1
 """
-"""Wavefront text of a square that looks up, its texture's lower left where x and y are least."""
+"""Wavefront OBJ text of a square that faces up. The lower left of its texture is at the smallest x and y."""
 SHEET_ABOVE = 1e-4
-"""Metres of a floor's picture above the floor; nothing can touch it."""
+"""Height of the floor's picture above the floor, metres. The picture has no collision shape."""
 
 
 @dataclass(frozen=True)
 class BinConfig:
-    """The bin: an open box around the workspace, its floor at z = 0.
+    """The bin: an open box around the workspace. Its floor is at z = 0.
 
     Args:
         wall_height: Metres.
         wall_thickness: Metres.
-        friction: Coulomb coefficient of the bin, which Bullet multiplies with that of an object, 0.6. Smooth plastic lets
-            what leans on a wall slide down.
-        margin: Metres between the walls and the guides that hold falling objects together.
+        friction: Coulomb coefficient of the bin. Bullet multiplies it by that of an object, 0.6. The bin is of smooth plastic,
+            so that objects leaning on a wall slide down.
+        margin: Metres between the walls and the guides that keep falling objects together.
         drop_height: Metres above the floor from which objects fall.
-        touching: Least share of a full bin's objects that touch another; a scene more scattered is no clutter.
-        settle_steps: Most timesteps to wait for rest after a reset.
-        rest_steps: The same after an attempt.
-        floor: ``plain`` grey, or ``textured``: in every scene another material.
-        distractors: Pictures of seen objects printed on a textured floor.
+        touching: Smallest share of a full bin's objects that must touch another one; otherwise the scene is not cluttered.
+        settle_steps: Maximum number of timesteps to wait for rest after a reset.
+        rest_steps: Maximum number of timesteps to wait for rest after an attempt.
+        floor: ``plain`` (grey), or ``textured`` (another material in every scene).
+        distractors: Number of pictures of seen objects printed on a textured floor.
 
     Raises:
-        RobotError: There is no such floor, or nothing that distractors could be printed on.
+        RobotError: ``floor`` is unknown, ``distractors`` is negative, or distractors are requested on a plain floor.
     """
 
     wall_height: NotNegative
@@ -92,19 +92,19 @@ class Body:
     scale: float
     color: tuple[float, float, float]
     transparent: bool
-    """Whether the depth sensor looks through it."""
+    """Whether the depth sensor sees through it."""
 
 
 class Scene:
-    """Builds the bin, drops objects into it and keeps count of them.
+    """Builds the bin, drops objects into it and keeps track of them.
 
     Args:
-        simulation: The world to build in.
+        simulation: The world to build the scene in.
         config: Bin and waiting times.
         width: Inner extent of the bin along x, metres.
-        length: The same along y.
-        objects: What may be dropped.
-        table: Whether the table around the bin can be seen; it is always there.
+        length: Inner extent of the bin along y, metres.
+        objects: The objects that may be dropped.
+        table: Whether the table around the bin is visible. Its collision shape is always present.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class Scene:
         self.wall_height = config.wall_height
 
     def build(self) -> None:
-        """Table and empty bin in an empty simulation."""
+        """Build the table and the empty bin in an empty simulation."""
         thickness, height = self._config.wall_thickness, self._config.wall_height
         x, y = self._size / 2
         self.bodies = []
@@ -130,14 +130,14 @@ class Scene:
         self.walls = self._ring(x, y, thickness / 2, height, (0.25, 0.42, 0.6))
 
     def paint_floor(self, rng: np.random.Generator) -> None:
-        """Lay a textured floor's picture, drawn anew, over the floor; a plain floor stays as it is."""
+        """Draw a new picture for a textured floor and lay it over the floor. Does nothing for a plain floor."""
         if self._config.floor == "plain":
             return
         client, half = self._simulation.client, self._size / 2
         printed = [self._objects.shape(str(name)) for name in rng.choice(self._objects.seen, self._config.distractors)]
         width, length = self._size
         picture = floor_picture(rng, width, length, printed)
-        with tempfile.TemporaryDirectory() as folder:  # of a new name each time: Bullet keeps textures by their files' names
+        with tempfile.TemporaryDirectory() as folder:  # a new path each time, since Bullet caches textures by path
             image, sheet = Path(folder) / "floor.png", Path(folder) / "sheet.obj"
             cv2.imwrite(str(image), picture[..., ::-1])
             sheet.write_text(SHEET)
@@ -146,14 +146,14 @@ class Scene:
             client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(image)), rgbaColor=(1, 1, 1, 1))
 
     def drop(self, rng: np.random.Generator, split: Split, count: int | None = None) -> Refusal | None:
-        """Let objects fall in one after the other and wait until they lie still; all of them, or only ``count``.
+        """Drop objects one after the other, all of them or only ``count``, and wait until they are at rest.
 
         Returns:
-            Why the scene is no good, if it is not: then start over with another generator.
+            Why the scene is not valid, or None if it is. If it is not valid, start again with another generator.
         """
         client = self._simulation.client
         area = self._size / 2 - self._config.margin
-        # Tall guides keep what bounces in its place; they go before anything is seen or picked.
+        # Tall guides keep bouncing objects over the bin. They are removed before anything is seen or picked.
         guides = self._ring(area[0], area[1], 0.02, 0.5, None)
         names = rng.choice(self._objects.names(split), self._objects.kinds, replace=False)
         order = rng.permutation(np.repeat(names, self._objects.copies))
@@ -176,27 +176,27 @@ class Scene:
         return "scattered" if scattered else None
 
     def layout(self, refused: tuple[Refusal, ...] = ()) -> Layout:
-        """What lies where now."""
+        """The present positions of all objects."""
         at = self._simulation.client.getBasePositionAndOrientation
         return Layout(tuple(Placed(body.name, body.scale, body.color, *at(body.id)) for body in self.bodies), refused)
 
     def place(self, layout: Layout, count: int | None = None) -> Refusal | None:
-        """Put the objects of a layout, all or ``count``, into the empty bin and wait until they lie still.
+        """Put the objects of a layout, all of them or only ``count``, into the empty bin and wait until they are at rest.
 
-        They lay still where they were, but Bullet forgot how they bore on each other: asleep at once, they would move by
-        half a millimetre, and now and then topple, when something touched them.
+        The objects of a layout were at rest, but Bullet has lost the contact forces between them. If they were put to sleep
+        immediately, they would move by half a millimetre when touched, and sometimes topple.
 
         Returns:
-            As of :meth:`drop`.
+            Why the scene is not valid, or None, as for :meth:`drop`.
         """
         for placed in layout.objects:
             self._add(placed.name, placed.scale, placed.position, np.array(placed.rotation), placed.color)
         return self._come_to_rest(count)
 
     def settle(self, steps: int | None = None, checks: int = STILL_CHECKS) -> bool:
-        """Step until every object lies still, at most ``steps`` times; whether they do.
+        """Step until every object is at rest, at most ``steps`` times. Returns whether all of them are.
 
-        What lies still is put to sleep, and costs no time until something touches it.
+        Objects at rest are put to sleep. A sleeping object takes no computation until something touches it.
         """
         self.wake()
         still = 0
@@ -215,7 +215,7 @@ class Scene:
         return all(np.linalg.norm(v) < AT_REST and np.linalg.norm(w) < TURNING for v, w in velocities)
 
     def touching(self) -> float:
-        """Share of the objects that touch another."""
+        """Share of the objects that touch another one."""
         near, ids = self._simulation.client.getClosestPoints, [body.id for body in self.bodies]
         return sum(any(near(a, b, TOUCHING) for b in ids if b != a) for a in ids) / max(len(ids), 1)
 
@@ -225,16 +225,17 @@ class Scene:
         return {body.id: np.array(client.getBasePositionAndOrientation(body.id)[0]) for body in self.bodies}
 
     def remove(self, ids: set[int]) -> None:
-        """Take objects out of the world; what lay on them sleeps on until the next :meth:`settle`."""
+        """Remove objects from the world. Objects that lay on them stay asleep until the next :meth:`settle`."""
         for i in ids:
             self._simulation.client.removeBody(i)
         self.bodies = [body for body in self.bodies if body.id not in ids]
 
     def wake(self) -> None:
-        """Let every object move, as if something had touched it."""
+        """Wake every object, as if something had touched it."""
         client = self._simulation.client
-        # Left to itself Bullet puts to sleep what has been slow for two seconds, in the middle of tipping over too; what an
-        # attempt has woken could be put to sleep like that, until the settling after it wakes everything.
+        # By default Bullet puts an object to sleep once it has been slow for two seconds, even in the middle of tipping over.
+        # Disabling this keeps objects awake while they settle. During an attempt it can still happen to objects that the
+        # attempt has woken; the settling after the attempt wakes them again.
         self._activate(client.ACTIVATION_STATE_DISABLE_SLEEPING)
         self._activate(client.ACTIVATION_STATE_WAKE_UP)
 
@@ -244,7 +245,7 @@ class Scene:
         self._activate(client.ACTIVATION_STATE_SLEEP)
 
     def clear_lost(self) -> int:
-        """Remove what has left the bin, and count it."""
+        """Remove the objects that have left the bin, and return how many there were."""
         out = {body.id for body in self.bodies if not self._inside(body)}
         self.remove(out)
         return len(out)
@@ -294,7 +295,7 @@ class Scene:
         return path
 
     def _ring(self, x: float, y: float, half: float, height: float, color: tuple[float, float, float] | None) -> list[int]:
-        """Four walls whose inner faces stand at +-x and +-y."""
+        """Four walls with their inner faces at +-x and +-y."""
         blocks = []
         for sign in (-1, 1):
             blocks.append(self._block((half, y + 2 * half, height / 2), (sign * (x + half), 0, height / 2), color))

@@ -1,4 +1,4 @@
-"""One PyBullet world, stepped at a fixed rate and never by the clock."""
+"""A PyBullet world with fixed timesteps, independent of the wall clock."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from jaxtyping import Float, Int
 
 @contextmanager
 def _quiet(stream: int) -> Iterator[None]:
-    """PyBullet greets on stderr (2) when imported and on stdout (1) when connected; what we say should be all there is."""
+    """Silence PyBullet, which prints to stderr (2) when it is imported and to stdout (1) when a client connects."""
     sys.stdout.flush()
     kept, nowhere = os.dup(stream), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream)
     try:
         yield
-        ctypes.CDLL(None).fflush(None)  # C keeps what it prints until later when stdout is no terminal
+        ctypes.CDLL(None).fflush(None)  # C buffers its output if stdout is not a terminal
     finally:
         os.dup2(kept, stream)
         os.close(kept)
@@ -33,32 +33,33 @@ with _quiet(2):
     from pybullet_utils.bullet_client import BulletClient
 
 TIMESTEP = 1 / 240
-"""Seconds of simulated time per step: Bullet's default, which its contact solver is tuned for."""
+"""Simulated seconds per step. This is Bullet's default, for which its contact solver is tuned."""
 GRAVITY = -9.81
+"""m/s^2 along z."""
 SOLVER_ITERATIONS = 160
-"""At most: see ``RESIDUAL``. The gripper's linkage, closing on a wall, sinks into it by up to 3.4 mm with 80, 2.0 mm with 120
-and 1.1 mm with 160 (300 picks)."""
+"""Maximum number; see ``RESIDUAL``. When the gripper closes on a wall, its linkage sinks into the wall by up to 3.4 mm with 80
+iterations, 2.0 mm with 120 and 1.1 mm with 160 (300 picks)."""
 RESIDUAL = 1e-5
-"""Bullet's solver stops iterating once the largest error of velocity of any constraint is below this; its default is 1e-7. At
-1e-4, a third faster, what lies still creeps: the fastest object of a bin by 1.5 mm/s instead of 0.3 (means of 40 bins)."""
+"""Bullet's solver stops iterating once the largest velocity error of any constraint is below this. Its default is 1e-7. 1e-4 is
+a third faster, but objects at rest creep: the fastest object of a bin by 1.5 mm/s instead of 0.3 mm/s (means of 40 bins)."""
 RAYS_AT_ONCE = 8192
-"""In one batch; Bullet drops rays silently near its limit of 16384."""
+"""Rays per batch. Bullet silently drops rays near its limit of 16384."""
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays met the first body."""
+    """Where each ray first meets a body."""
 
     body: Int[np.ndarray, " n"]
-    """-1: none."""
+    """Id of the body; -1 if the ray meets nothing."""
     position: Float[np.ndarray, "n 3"]
-    """World metres; the ray's end where it met nothing."""
+    """World metres; the end of the ray if it meets nothing."""
     normal: Float[np.ndarray, "n 3"]
-    """Of the surface; zeros where the ray met nothing."""
+    """Surface normal; zeros if the ray meets nothing."""
 
 
 class Simulation:
-    """A private PyBullet client. Close it, or use it as a context manager."""
+    """A private PyBullet client. Call :meth:`close` when done."""
 
     def __init__(self) -> None:
         if not pybullet.isNumpyEnabled():
@@ -69,18 +70,18 @@ class Simulation:
             self.client = BulletClient(pybullet.DIRECT)
         self.steps = 0
         self.after_step: Callable[[], None] | None = None
-        """A spectator, called after each step, and for each that free motion skips; it must change nothing."""
+        """Called after each step, and for each step that free motion skips. It must not change the simulation."""
 
     def clear(self) -> None:
-        """Remove everything, so that what follows depends on nothing that was."""
+        """Remove everything, so that nothing depends on earlier contents."""
         self.client.resetSimulation()
         self.client.setGravity(0, 0, GRAVITY)
         self.client.setTimeStep(TIMESTEP)
         self.client.setPhysicsEngineParameter(
             numSolverIterations=SOLVER_ITERATIONS,
             solverResidualThreshold=RESIDUAL,
-            enableConeFriction=0,  # a friction pyramid instead: its rows converge in fewer iterations
-            deterministicOverlappingPairs=1,  # contacts are solved in the same order in every process
+            enableConeFriction=0,  # use a friction pyramid, which converges in fewer iterations
+            deterministicOverlappingPairs=1,  # solve contacts in the same order in every process
         )
 
     def step(self) -> None:
@@ -92,7 +93,7 @@ class Simulation:
 
     @contextmanager
     def hidden(self, *bodies: int) -> Iterator[None]:
-        """No camera sees these bodies during the block."""
+        """Hide these bodies from all cameras during the block."""
         looks = [(body, shape[1], shape[7]) for body in bodies for shape in self.client.getVisualShapeData(body)]
         for body, link, color in looks:
             self.client.changeVisualShape(body, link, rgbaColor=(*color[:3], 0))
@@ -103,11 +104,11 @@ class Simulation:
                 self.client.changeVisualShape(body, link, rgbaColor=color)
 
     def cast(self, starts: Float[np.ndarray, "n 3"], ends: Float[np.ndarray, "n 3"], groups: int = -1) -> Hits:
-        """Rays between world points, metres.
+        """Cast rays between world points.
 
         Args:
-            starts, ends: Of each ray.
-            groups: Bit mask of the collision groups that rays can meet; all by default.
+            starts, ends: End points of each ray, world metres.
+            groups: Bit mask of the collision groups that rays can meet; by default all.
         """
         hits: list[tuple] = []
         for i in range(0, len(starts), RAYS_AT_ONCE):
@@ -118,6 +119,6 @@ class Simulation:
         return Hits(body, np.where(body[:, None] < 0, ends, position), normal)
 
     def close(self) -> None:
-        """Give the client back; safe to call twice."""
+        """Disconnect the client. Safe to call twice."""
         if self.client.isConnected():
             self.client.disconnect()

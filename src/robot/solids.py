@@ -1,4 +1,4 @@
-"""Convex solids, the parts that objects are built from. Metres, origin wherever it is easiest."""
+"""Convex solids, from which objects are built. Lengths are in metres; each function chooses its own origin."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from scipy.spatial import QhullError
+
 from see2act.robot.packages import package_file
 from see2act.robot.types import RobotError
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """A mesh file (STL, OBJ, ...).
+    """Read a mesh file (STL, OBJ, ...).
 
     Raises:
-        RobotError: It does not exist, cannot be read, or encloses no volume.
+        RobotError: The file does not exist, cannot be read, or has no volume.
     """
     if not path.is_file():
         raise RobotError(f"object file {path} does not exist: run `make install`, or check the path")
     try:
         mesh = trimesh.load_mesh(path)
-    except Exception as error:  # trimesh lets through whatever its many readers raise
+    except Exception as error:  # trimesh passes on whatever its many readers raise
         raise RobotError(f"object file {path} is no mesh that trimesh can read: {error}") from None
     try:
         volume = mesh.convex_hull.volume
@@ -33,18 +34,18 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def box(x: float, y: float, z: float, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
-    """With these sides, its middle at ``at``."""
+    """A box with sides ``x``, ``y`` and ``z``, centred at ``at``."""
     return trimesh.creation.box((x, y, z), trimesh.transformations.translation_matrix(at))
 
 
 def prism(corners: np.ndarray, height: float) -> trimesh.Trimesh:
-    """A convex polygon (n, 2), extruded along z."""
+    """A convex polygon with ``corners`` (n, 2), extruded along z."""
     low = np.column_stack([corners, np.zeros(len(corners))])
     return trimesh.convex.convex_hull(np.concatenate([low, low + [0, 0, height]]))
 
 
 def half_round(radius: float, length: float) -> trimesh.Trimesh:
-    """Half of a cylinder along z, cut lengthwise."""
+    """Half of a cylinder along z that is cut lengthwise."""
     angles = np.linspace(0, np.pi, 17)
     return prism(radius * np.column_stack([np.cos(angles), np.sin(angles)]), length)
 
@@ -57,12 +58,12 @@ def rgb_object(code: str, scale: float = 1.0) -> list[trimesh.Trimesh]:
 
 
 def cylinder(radius: float, height: float, at: tuple[float, float, float] = (0, 0, 0), sides: int = 24) -> trimesh.Trimesh:
-    """Along z, its middle at ``at``."""
+    """A cylinder along z, centred at ``at``."""
     return trimesh.creation.cylinder(radius, height, sections=sides).apply_translation(at)
 
 
 def cone(low: float, high: float, height: float, sides: int = 20) -> trimesh.Trimesh:
-    """A truncated cone with these two radii, standing on z = 0."""
+    """A truncated cone with radius ``low`` at the bottom and ``high`` at the top, standing on z = 0."""
     turns = 2 * np.pi * np.arange(sides) / sides
     rim = np.column_stack([np.cos(turns), np.sin(turns)])
     rings = [np.column_stack([r * rim, np.full(sides, z)]) for r, z in ((low, 0.0), (high, height))]
@@ -70,13 +71,13 @@ def cone(low: float, high: float, height: float, sides: int = 20) -> trimesh.Tri
 
 
 def ellipsoid(x: float, y: float, z: float) -> trimesh.Trimesh:
-    """With these half axes."""
+    """An ellipsoid with semi-axes ``x``, ``y`` and ``z``."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
     return trimesh.convex.convex_hull(ball.vertices * [x, y, z])
 
 
 def ring(inner: float, outer: float, height: float, sides: int) -> list[trimesh.Trimesh]:
-    """A ring or, with few sides, a nut, in as many parts."""
+    """A ring with ``sides`` convex parts. With few sides it looks like a nut."""
     turns = 2 * np.pi * np.arange(sides + 1) / sides
     rim = np.column_stack([np.cos(turns), np.sin(turns)])
     return [prism(np.concatenate([inner * rim[i : i + 2], outer * rim[i : i + 2]]), height) for i in range(sides)]

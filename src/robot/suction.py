@@ -1,4 +1,4 @@
-"""A suction cup: a bellows that must seal all around its rim and can hold only so much."""
+"""A suction cup: a bellows that must seal all around its rim and has a limited holding force."""
 
 from __future__ import annotations
 
@@ -13,33 +13,34 @@ from see2act.robot.simulation import Simulation
 from see2act.robot.types import Cause, NotNegative
 
 RIM_RAYS = 16
+"""Rays from the rim that check the seal."""
 ANCHORS = 4
-"""Points of the rim that pull on the object; together they carry force and moment."""
+"""Number of points of the rim that pull on the object. Together they transmit force and moment."""
 MOVING_AND_STATIC, CUP = 3, 64
-"""Collision groups: Bullet's own two, and one for the cup alone, so that rays from inside it see past it."""
+"""Collision groups: Bullet's own two, and a separate one for the cup, so that rays that start inside the cup ignore it."""
 
 
 class SuctionCup(EndEffector):
-    """Presses, seals, pulls; success is a vacuum that is still there after the lift.
+    """Presses, seals and pulls. A pick succeeds if the vacuum is still there after the lift.
 
-    The seal forms where the rim touches and rays from all of it meet one body, on a plane within ``flatness``,
-    tilted by no more than ``tilt``. It then pulls with the pressure times the cup's area, spread over the rim: too
-    heavy, too far off the centre of mass or stuck, and a side of the rim comes off.
+    A seal forms if the cup presses on a body and all rays from the rim meet that body, on a plane within ``flatness`` that is
+    tilted by at most ``tilt``. The cup then pulls with a force of pressure times area, spread over the rim. One side of the
+    rim comes off if the object is too heavy, stuck, or held too far from its centre of mass.
 
     Args:
-        holder_length, holder_radius: The tube, metres.
-        cup_length, cup_radius: The bellows, metres.
-        travel: Metres the bellows can be pressed together.
-        stiffness: Newtons that press it together.
-        press: Metres below the surface that the rim is sent.
-        flatness: Largest distance of the rim from a plane that the lip still follows, metres.
-        tilt: Largest angle between cup and surface, radians.
-        vacuum: kPa below ambient with a perfect seal.
-        leak: Share of the vacuum lost on a surface at the limit of ``flatness``.
-        open_pressure: kPa below ambient with the pump running on free air.
-        threshold: kPa of difference that count as a hold.
-        peel: Metres that a point of the rim may come off before the seal is lost.
-        contact_limit: Newtons on the tool at which a descent stops.
+        holder_length, holder_radius: Size of the tube, metres.
+        cup_length, cup_radius: Size of the bellows, metres.
+        travel: Metres by which the bellows can be compressed.
+        stiffness: Newtons that compress the bellows.
+        press: Metres below the surface to which the rim is sent.
+        flatness: Largest distance of the surface from a plane that the lip can follow, metres.
+        tilt: Largest angle between the cup and the surface, radians.
+        vacuum: Pressure below ambient with a perfect seal, kPa.
+        leak: Share of the vacuum that is lost on a surface at the limit of ``flatness``.
+        open_pressure: Pressure below ambient while the pump draws free air, kPa.
+        threshold: Pressure difference above which an object counts as held, kPa.
+        peel: Metres by which a point of the rim may come off before the seal is lost.
+        contact_limit: Contact force at which a descent stops, newtons.
     """
 
     primitive = "suction"
@@ -126,7 +127,7 @@ class SuctionCup(EndEffector):
         self.pressure = self._open
 
     def _touch(self) -> tuple[int | None, float]:
-        """The body under the whole rim and the quality of the seal on it, or None."""
+        """The body under the whole rim and the quality of the seal on it; None and 0 if there is no seal."""
         position, rotation = self._cup_frame()
         rim = self._rim(RIM_RAYS)
         starts = (rim - [0, 0, 0.006]) @ rotation.T + position
@@ -151,7 +152,7 @@ class SuctionCup(EndEffector):
         at, turn = client.getBasePositionAndOrientation(body)
         body_rotation = np.array(client.getMatrixFromQuaternion(turn)).reshape(3, 3)
         force = self.pressure * 1000 * np.pi * self.cup_radius**2
-        # A link's constraint frame starts at its centre of mass, half-way up the cup.
+        # The origin of a link's constraint frame is its centre of mass, half-way up the cup.
         for point in self._rim(ANCHORS):
             on_body = body_rotation.T @ (rotation @ point + position - at)
             on_link = point + [0, 0, self._cup_length / 2]
@@ -163,7 +164,7 @@ class SuctionCup(EndEffector):
         self._sealed_body = body
 
     def _gaps(self) -> list[float]:
-        """Metres between each anchor on the rim and its place on the object."""
+        """Metres between each anchor on the rim and the point of the object that it was attached to."""
         client = self._simulation.client
         position, rotation = self._cup_frame()
         at, turn = client.getBasePositionAndOrientation(self._sealed_body)
@@ -174,13 +175,13 @@ class SuctionCup(EndEffector):
         ]
 
     def _cup_frame(self) -> tuple[np.ndarray, np.ndarray]:
-        """World position of the rim's centre and the rotation whose z axis points out of the cup."""
+        """World position of the rim's centre, and the cup's rotation matrix; its z axis points out of the cup."""
         client = self._simulation.client
         state = client.getLinkState(self._arm.body, self._cup, computeForwardKinematics=1)
         rotation = np.array(client.getMatrixFromQuaternion(state[5])).reshape(3, 3)
         return np.array(state[4]) + rotation[:, 2] * self._cup_length, rotation
 
     def _rim(self, n: int) -> np.ndarray:
-        """``n`` points of the rim in the rim's frame, metres."""
+        """``n`` points on the rim, in the rim's frame, metres."""
         angles = 2 * np.pi * np.arange(n) / n
         return self.cup_radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])

@@ -1,4 +1,4 @@
-"""Grey patterns that an object's colour shines through."""
+"""Grey patterns, by which an object's colour is multiplied."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import UInt8
+
 from see2act.seeding import generator
 
 SIDE = 64
-"""Pixels."""
+"""Pixels per side of a texture."""
 DARK = 90
+"""Grey value of the dark parts; the others are 255."""
 ROWS, COLS = np.indices((SIDE, SIDE))
 
 
@@ -29,4 +31,4 @@ TEXTURES: dict[str, Callable[[], UInt8[np.ndarray, "h w 3"]]] = {
     "label": lambda: _grey((ROWS > 16) & (ROWS < 44) & (ROWS % 7 < 3) & (COLS > 8) & (COLS < 56)),
     "speckles": _speckles,
 }
-"""RGB images by the word people type."""
+"""Functions that make an RGB image, by the name used in the configuration."""

