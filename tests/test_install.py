@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
-import sysconfig
 import tomllib
 import venv
 from pathlib import Path
@@ -27,12 +27,29 @@ def test_every_package_is_listed() -> None:
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment with the wheel in it. Its dependencies are those of this one."""
     folder = tmp_path_factory.mktemp("installed")
-    wheel = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", str(folder), str(ROOT)]
+    source = folder / "source"  # a copy, since setuptools leaves its work in the folder
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    for name in ("src", "conf", "models"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    wheel = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "-w",
+        str(folder),
+        str(source),
+    ]
     subprocess.run(wheel, check=True, timeout=300)
     venv.create(folder / "env", with_pip=False)
     (site,) = (folder / "env").glob("lib/python*/site-packages")
     # A path is not a site folder: the .pth files in it, the editable install's among them, are not read.
-    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
+    (site / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
     (built,) = folder.glob("*.whl")
     target = [
         sys.executable,
@@ -60,9 +77,11 @@ def test_the_command_lists_its_commands(installed: Path, tmp_path: Path) -> None
 def test_a_run_and_a_demo_from_another_folder(installed: Path, tmp_path: Path) -> None:
     few = ["collect.interactions=2", "finetune.attempts=0", "evaluate.attempts.seen=1", "evaluate.attempts.unseen=1"]
     tiny = ["task=none", "transfer=none", "model.width=4", "threads=1", "logger=none", "figures.scenes=1", *few]
-    subprocess.run([installed, "train", *tiny], cwd=tmp_path, check=True, timeout=300, capture_output=True)
+    done = subprocess.run([installed, "train", *tiny], cwd=tmp_path, timeout=300, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
     (result,) = tmp_path.glob("outputs/suction/fcn7/none-none/*/seed0/result.json")
     assert json.loads(result.read_text())["eval"]["seen"]["attempts"] == 1
     demo = [installed, "demo", "--no-film", "evaluate.attempts.unseen=1"]
-    subprocess.run(demo, cwd=tmp_path, check=True, timeout=300, capture_output=True)  # with one of models/
+    done = subprocess.run(demo, cwd=tmp_path, timeout=300, capture_output=True, text=True)  # with one of models/
+    assert done.returncode == 0, done.stderr[-2000:]
     assert list(tmp_path.glob("demo/*/strip.png"))

@@ -28,3 +28,7 @@ def main() -> None:
         sys.exit(f"see2act: there is no command '{name}': choose one of {', '.join(COMMANDS)}")
     sys.argv = [f"see2act {name}", *sys.argv[2:]]
     import_module(f"see2act.commands.{name}").main()
+
+
+if __name__ == "__main__":
+    main()

@@ -23,8 +23,12 @@ from see2act.experiment.identity import CHOICES, WORD
 from see2act.robot.types import RobotError
 
 
-def check_schema(cfg: DictConfig) -> None:
+def check_schema(cfg: DictConfig, only_keys: bool = False) -> None:
     """Refuse keys that do not exist and values out of their range, by the schema's own annotations.
+
+    Args:
+        cfg: A configuration.
+        only_keys: Leave values alone, as of a sweep, whose jobs check their own.
 
     Raises:
         ConfigError: With the first key that is wrong.
@@ -33,9 +37,12 @@ def check_schema(cfg: DictConfig) -> None:
     try:
         TypeAdapter(Config).validate_python(plain)
     except ValidationError as error:
-        problem = error.errors()[0]
+        unknown = [problem for problem in error.errors() if problem["type"] == "unexpected_keyword_argument"]
+        if only_keys and not unknown:
+            return
+        problem = (unknown or error.errors())[0]
         *path, last = problem["loc"]
-        if problem["type"] == "unexpected_keyword_argument":
+        if unknown:
             group = OmegaConf.select(cfg, ".".join(map(str, path))) if path else cfg
             known = [str(key) for key in group if key != last]
             where = f" of {'.'.join(map(str, path))}" if path else ""

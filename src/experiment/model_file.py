@@ -29,7 +29,7 @@ from see2act.modules.rotation import Rotations
 
 FILE = "model.safetensors"
 """Its name among a run's checkpoints."""
-CONFIG, HASH = "see2act.experiment.config", "see2act.config_hash"
+CONFIG, HASH = "see2act.config", "see2act.config_hash"
 """Names in the file's metadata."""
 WITHOUT = ("hydra", "paths", "logger")
 """Keys of the configuration that say nothing about the model."""

@@ -60,7 +60,7 @@ def check_sweep(overrides: list[str]) -> None:
             first.append(value)
             others += more if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
     cfg = composed_as_typed(first)
-    check_schema(cfg)
+    check_schema(cfg, only_keys=True)
     for option in others:
         if OmegaConf.is_config(cfg[option.split("=")[0]]):
             composed_as_typed([*first, option])

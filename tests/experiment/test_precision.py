@@ -10,7 +10,7 @@ from time import process_time
 
 import pytest
 
-from see2act.experiment import processor
+from see2act.experiment import precision
 
 
 def _busy(seconds: dict[str, float], asked: list[str]) -> Callable[[str], Callable[[], None]]:
@@ -28,12 +28,12 @@ def _busy(seconds: dict[str, float], asked: list[str]) -> Callable[[str], Callab
 
 @pytest.fixture
 def able(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processor, "_cpuinfo", lambda: "model name : Some CPU (R) 9\nflags : fpu avx512f avx512_bf16")
+    monkeypatch.setattr(precision, "_cpuinfo", lambda: "model name : Some CPU (R) 9\nflags : fpu avx512f avx512_bf16")
 
 
 @pytest.mark.parametrize(("fp32", "bf16", "fastest"), [(0.02, 0.005, "bf16"), (0.005, 0.02, "fp32"), (0.0200, 0.0197, "fp32")])
 def test_bf16_is_taken_only_where_it_is_clearly_faster(able: None, fp32: float, bf16: float, fastest: str) -> None:
-    found = processor.compared(_busy({"fp32": fp32, "bf16": bf16}, []))
+    found = precision.compared(_busy({"fp32": fp32, "bf16": bf16}, []))
     assert found["fastest"] == fastest
     assert found["fp32"] == pytest.approx(fp32, rel=0.5)
 
@@ -42,29 +42,29 @@ def test_it_is_measured_once_and_said(
     able: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     asked: list[str] = []
-    monkeypatch.setattr(processor, "_attempt_s_work", _busy({"fp32": 0.02, "bf16": 0.005}, asked))
+    monkeypatch.setattr(precision, "_attempt_s_work", _busy({"fp32": 0.02, "bf16": 0.005}, asked))
     with caplog.at_level(logging.INFO, "see2act"):
-        assert processor.fastest_precision(str(tmp_path)) == "bf16"
+        assert precision.fastest_precision(str(tmp_path)) == "bf16"
     assert "in fp32 and" in caplog.text
     assert "so bf16; kept in" in caplog.text
     times = len(asked)
-    assert processor.fastest_precision(str(tmp_path)) == "bf16"
+    assert precision.fastest_precision(str(tmp_path)) == "bf16"
     assert len(asked) == times
     (kept,) = tmp_path.rglob("*.json")
     kept.write_text(json.dumps(json.loads(kept.read_text()) | {"fastest": "fp32"}))
-    assert processor.fastest_precision(str(tmp_path)) == "fp32"
+    assert precision.fastest_precision(str(tmp_path)) == "fp32"
 
 
 def test_what_cannot_be_faster_is_not_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processor, "_cpuinfo", lambda: "flags : fpu avx2")
-    monkeypatch.setattr(processor, "compared", lambda work: pytest.fail("measured"))
-    assert processor.fastest_precision(str(tmp_path)) == "fp32"
-    assert processor.fastest_precision(str(tmp_path), "gpu") == "bf16"
+    monkeypatch.setattr(precision, "_cpuinfo", lambda: "flags : fpu avx2")
+    monkeypatch.setattr(precision, "compared", lambda work: pytest.fail("measured"))
+    assert precision.fastest_precision(str(tmp_path)) == "fp32"
+    assert precision.fastest_precision(str(tmp_path), "gpu") == "bf16"
     assert not list(tmp_path.iterdir())
 
 
 def test_the_work_that_is_timed_is_an_attempt_s(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processor, "REPEATS", 1)
-    seconds = processor.compared(processor._attempt_s_work)
+    monkeypatch.setattr(precision, "REPEATS", 1)
+    seconds = precision.compared(precision._attempt_s_work)
     assert min(seconds["fp32"], seconds["bf16"]) > 0.05  # 70 GFLOP
     assert seconds["fastest"] in ("fp32", "bf16")

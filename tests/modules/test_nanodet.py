@@ -239,7 +239,7 @@ def test_make_coco_gets_checks_and_converts(graph: Path, tmp_path: Path, monkeyp
 
 
 def test_make_coco_says_what_to_do(graph: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "see2act.commands.coco", "--cache", str(tmp_path / "cache")]
+    command = [sys.executable, "-m", "see2act.commands.main", "coco", "--cache", str(tmp_path / "cache")]
 
     def said(path: Path) -> str:
         ended = subprocess.run(command, capture_output=True, text=True, env={"PATH": f"{path}"})
