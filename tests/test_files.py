@@ -81,6 +81,7 @@ def test_the_version_of_code_is_what_it_does_wherever_it_lies(tmp_path: Path, mo
         "def f(x):\n    return x + 2\n",
     ):
         (tmp_path / "a.py").write_text(source)
+        identity.code_hash.cache_clear()
         hashes.append(identity.code_hash("a.py"))
     assert hashes[0] == hashes[1] != hashes[2]
     (tmp_path / "a.py").rename(tmp_path / "b.py")

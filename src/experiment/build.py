@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,12 +46,7 @@ def _layouts_key(cfg: DictConfig) -> str:
     """Hash of all that decides how objects settle: the same for every tool and camera."""
     keys = plain(cfg, "workspace", "objects")
     keys["bin"] = OmegaConf.to_container(cfg.robot.get("bin") or OmegaConf.create(), resolve=True)
-    return hash_of(keys | {"code": _code_of_robots(), "versions": packages()})
-
-
-@cache  # robots are built often
-def _code_of_robots() -> str:
-    return code_hash("robot", "seeding.py")
+    return hash_of(keys | {"code": code_hash("robot", "seeding.py"), "versions": packages()})
 
 
 def policy(cfg: DictConfig) -> Policy:

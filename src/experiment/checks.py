@@ -72,10 +72,12 @@ def check_arguments(node: Any, path: str) -> None:
             if open_ended:
                 continue
             raise ConfigError(f"{path} has no parameter '{name}': it takes {', '.join(parameters)}")
-        value: Any = OmegaConf.to_container(node)[name] if OmegaConf.is_config(node[name]) else node[name]  # type: ignore[call-overload, index]
+        value: Any = node[name]
         adapter = _adapter(target, name)
-        if adapter is None or OmegaConf.is_dict(node[name]):
+        if adapter is None or (OmegaConf.is_dict(value) and "_target_" in value):
             continue
+        if OmegaConf.is_config(value):
+            value = OmegaConf.to_container(value)
         try:
             adapter.validate_python(value)
         except ValidationError as error:

@@ -86,6 +86,7 @@ def content_hash(data: object) -> str:
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:HASH_LENGTH]
 
 
+@cache  # robots are built often, and several caches have it in their keys
 def code_hash(*places: str) -> str:
     """Twelve hexadecimal digits of what some files and folders of this package define.
 

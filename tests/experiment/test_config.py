@@ -126,6 +126,7 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("policy.radius=4", ["policy.radius=4", "in metres"]),
         ("finetune.replay.shift=1", ["finetune.replay.shift=1", "in metres"]),
         ("policy.radius=big", ["policy.radius=big", "must be a valid number"]),
+        ("model.network.width={a: 1}", ["model.network.width=", "must be a valid integer"]),
         ("model.width=0", ["width=0", "at least 1"]),
         ("camera.width=wide", ["camera.width=wide", "must be a valid integer"]),
         ("task.label.low=x", ["task.label.low=x", "must be a valid number"]),
