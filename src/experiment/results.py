@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt
 from pydantic import BaseModel, ConfigDict, StrictInt, model_validator
-from scipy.stats import binomtest
 
 from see2act.errors import DamagedFile
 from see2act.experiment import attempts
@@ -36,6 +35,8 @@ def wilson(successes: int, attempts: int) -> tuple[float, float]:
         raise ValueError(f"{successes} successes of {attempts} attempts are impossible")
     if attempts == 0:
         return 0.0, 1.0
+    from scipy.stats import binomtest  # here, because its import takes a second
+
     interval = binomtest(successes, attempts).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)
 
