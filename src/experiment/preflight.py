@@ -27,17 +27,23 @@ def check_command(overrides: list[str]) -> None:
         raise ConfigError(
             f"experiment={experiment} is a sweep: add -m, and primitive=, task=, transfer= and seed= if you want one run of it"
         )
-    cfg = composed_as_typed(overrides, return_hydra_config=True)
     plain = composed_as_typed(overrides)
+    if OmegaConf.is_interpolation(plain, "precision"):
+        plain.precision = "fp32"  # no check depends on it, and precision=auto may take seconds to measure the processor
     try:
-        OmegaConf.resolve(cfg.hydra.run)
-        folder = Path(cfg.hydra.run.dir)
         validate(plain)
     except OmegaConfBaseException as error:
         raise ConfigError(one_line(error)) from None
     check_run(plain)
-    _check_writable(folder)
     _check_writable(Path(plain.paths.cache))
+    cfg = composed_as_typed(overrides, return_hydra_config=True)
+    try:
+        OmegaConf.resolve(cfg.hydra.run)  # with the precision in the hash of the configuration
+    except OmegaConfBaseException as error:
+        raise ConfigError(one_line(error)) from None
+    folder = Path(cfg.hydra.run.dir)
+    _check_writable(folder)
+    plain.precision = cfg.precision
     refuse_foreign(folder, plain)
 
 

@@ -10,7 +10,9 @@ from time import process_time
 
 import pytest
 
+from see2act.errors import ConfigError
 from see2act.experiment import precision
+from see2act.experiment.preflight import check_command
 
 
 def _busy(seconds: dict[str, float], asked: list[str]) -> Callable[[str], Callable[[], None]]:
@@ -61,6 +63,12 @@ def test_what_cannot_be_faster_is_not_measured(tmp_path: Path, monkeypatch: pyte
     assert precision.fastest_precision(str(tmp_path)) == "fp32"
     assert precision.fastest_precision(str(tmp_path), "gpu") == "bf16"
     assert not list(tmp_path.iterdir())
+
+
+def test_a_command_that_is_refused_measures_nothing(able: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(precision, "compared", lambda work: pytest.fail("measured"))
+    with pytest.raises(ConfigError, match=r"finetune\.attempts=-1"):
+        check_command(["finetune.attempts=-1", f"paths.cache={tmp_path}"])
 
 
 def test_the_work_that_is_timed_is_an_attempt_s(monkeypatch: pytest.MonkeyPatch) -> None:
