@@ -37,7 +37,7 @@ def compare(overrides: list[str], primitive: str, first: int, looks: int) -> dic
     fast = copy.deepcopy(plain)
     fast.set_precision(cfg.precision)
     robot = build.robot_factory(cfg, cfg.primitive)()
-    rotations = Rotations(robot.workspace.shape, cfg.primitive.angles, plain.stride, plain.reach)
+    rotations = Rotations(robot.workspace.shape, cfg.primitive.angles, plain.stride, plain.receptive_radius)
     row: dict[str, Any] = {"primitive": primitive, "precision": cfg.precision, "decisions": 0, "same": 0}
     apart, lost = [], []
     for look in range(looks):

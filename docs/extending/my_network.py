@@ -22,4 +22,4 @@ class Dilated(PixelNetwork):
             ]
             channels = width
         head = nn.Sequential(nn.Conv2d(width, width, 3, padding=1), nn.ReLU(), Logits(width, 1, 1))
-        super().__init__(nn.Sequential(*layers), head, stride=1, reach=16)
+        super().__init__(nn.Sequential(*layers), head, stride=1, receptive_radius=16)

@@ -60,7 +60,9 @@ class TrainedModel:
 
     def affordances(self, color: UInt8[np.ndarray, "H W 3"], height: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "A H W"]:
         """Logits of success for every angle (a share k / A of half a turn) at every pixel of a heightmap of any size."""
-        rotations = _rotations(height.shape, int(self.config.primitive.angles), self.network.stride, self.network.reach)
+        rotations = _rotations(
+            height.shape, int(self.config.primitive.angles), self.network.stride, self.network.receptive_radius
+        )
         return affordances(self.network, rotations.to(self.network.device), color, height)
 
 

@@ -106,7 +106,7 @@ class AffordanceModule(L.LightningModule):
         self.save_hyperparameters(ignore=["network"], logger=False)  # the run logs its whole configuration
         self.network = network
         self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging), use_buffers=True)
-        self.rotations = Rotations(shape, angles, network.stride, network.reach)
+        self.rotations = Rotations(shape, angles, network.stride, network.receptive_radius)
         self._rates = {"backbone": backbone_lr, "head": head_lr}
         self._weight_decay = weight_decay
         self._frozen = batchnorm == "frozen"

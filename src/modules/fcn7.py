@@ -55,7 +55,7 @@ class FCN7(PixelNetwork):
             Logits(width, 1, 1),  # before the last upsampling: the result is the same, and only one channel is upsampled
             nn.Upsample(scale_factor=2, mode="bilinear", align_corners=False),
         )
-        super().__init__(backbone, head, stride=4, reach=48)
+        super().__init__(backbone, head, stride=4, receptive_radius=48)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -71,26 +71,26 @@ class FCN7(PixelNetwork):
         x = self.entering(x)
         stride, coarsest = 1, False
         with self.autocast():
-            for layer, reach in self._reaches():
+            for layer, radius in self._radii():
                 coarsest |= stride == self.stride
                 if coarsest and isinstance(layer, Residual):  # an earlier crop would change which pixels are pooled
-                    x, row, col = crop(x, row, col, stride, reach)
+                    x, row, col = crop(x, row, col, stride, radius)
                 x = layer(x)
                 stride = {nn.MaxPool2d: stride * 2, nn.Upsample: stride // 2}.get(type(layer), stride)
         return x[torch.arange(len(x), device=x.device), 0, row, col].float()
 
-    def _reaches(self) -> list[tuple[nn.Module, int]]:
+    def _radii(self) -> list[tuple[nn.Module, int]]:
         """Every layer, with the receptive-field radius of a logit in that layer's input."""
-        reaches, reach = [], 0
+        radii, radius = [], 0
         for layer in reversed([*self.backbone.children(), *self.head.children()]):
             match layer:
                 case Residual():
-                    reach += 2
+                    radius += 2
                 case nn.Conv2d(kernel_size=(3, 3)):
-                    reach += 1
+                    radius += 1
                 case nn.MaxPool2d():
-                    reach = 2 * reach + 1
+                    radius = 2 * radius + 1
                 case nn.Upsample():
-                    reach = (reach + 1) // 2 + 1
-            reaches.append((layer, reach))
-        return reaches[::-1]
+                    radius = (radius + 1) // 2 + 1
+            radii.append((layer, radius))
+        return radii[::-1]

@@ -17,7 +17,7 @@ STRIDE = 8
 COARSEST = 32
 """Stride of the coarsest feature map."""
 PYRAMID_CHANNELS = 128
-REACH = 2
+RADIUS = 2
 """Receptive-field radius of a logit after the pyramid, in features of the finest level: a convolution and an upsampling."""
 SLOPE = 0.1
 """Negative slope of every LeakyReLU."""
@@ -148,13 +148,13 @@ class NanoDet(PixelNetwork):
         check_input(depth, scale)
         # The receptive field reaches 420 px to each side; nine tenths of a logit's gradient lie within 140 px (both of the
         # enlarged input).
-        super().__init__(Backbone(scale, depth), Head(scale), stride=COARSEST // scale, reach=-(-424 // scale))
+        super().__init__(Backbone(scale, depth), Head(scale), stride=COARSEST // scale, receptive_radius=-(-424 // scale))
         self.scale = scale
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
         """The logit of one pixel of each input. The head runs only on the features that the logit depends on."""
         with self.autocast():
             features = self.backbone(self.entering(x))
-            features, row, col = crop(features, row, col, STRIDE // self.scale, REACH)
+            features, row, col = crop(features, row, col, STRIDE // self.scale, RADIUS)
             logits: Tensor = self.head(features)
         return logits[torch.arange(len(x), device=x.device), 0, row, col].float()

@@ -71,16 +71,16 @@ class PixelNetwork(nn.Module):
         backbone: Feature extractor.
         head: Prediction layers, a :class:`Logits` among them.
         stride: The sides of the input are padded to multiples of this, pixels.
-        reach: Receptive-field radius of a logit, pixels.
+        receptive_radius: Receptive-field radius of a logit, pixels.
     """
 
-    def __init__(self, backbone: nn.Module, head: nn.Module, stride: int, reach: int):
+    def __init__(self, backbone: nn.Module, head: nn.Module, stride: int, receptive_radius: int):
         super().__init__()
         self.normalization = Normalization()
         self.backbone = backbone
         self.head = head
         self.stride = stride
-        self.reach = reach
+        self.receptive_radius = receptive_radius
         self._precision = "fp32"
         self._layout = torch.contiguous_format
 
@@ -189,21 +189,21 @@ def magnified(x: Float[Tensor, "B C h w"], scale: int) -> Float[Tensor, "B C H W
 
 
 def crop(
-    x: Float[Tensor, "B C h w"], row: Int[Tensor, " B"], col: Int[Tensor, " B"], stride: int, reach: int
+    x: Float[Tensor, "B C h w"], row: Int[Tensor, " B"], col: Int[Tensor, " B"], stride: int, radius: int
 ) -> tuple[Float[Tensor, "B C k k"], Int[Tensor, " B"], Int[Tensor, " B"]]:
-    """The part of each feature map within ``reach`` of a pixel; at a border the part is moved to stay on the map.
+    """The part of each feature map within ``radius`` of a pixel; at a border the part is moved to stay on the map.
 
     Args:
         x: Features.
         row, col: The pixels, at full resolution.
         stride: Stride of the features.
-        reach: Number of features to each side.
+        radius: Number of features to each side.
 
     Returns:
         The parts, and the row and column of each pixel in its part, at full resolution.
     """
-    size = [min(2 * reach + 1, n) for n in x.shape[2:]]
-    top, left = ((at // stride - reach).clamp(0, n - k) for at, n, k in zip((row, col), x.shape[2:], size, strict=True))
+    size = [min(2 * radius + 1, n) for n in x.shape[2:]]
+    top, left = ((at // stride - radius).clamp(0, n - k) for at, n, k in zip((row, col), x.shape[2:], size, strict=True))
     parts = [
         x[i, :, t : t + size[0], k : k + size[1]] for i, (t, k) in enumerate(zip(top.tolist(), left.tolist(), strict=True))
     ]

@@ -58,7 +58,7 @@ class Rotations(nn.Module):
         shape: Rows and columns of the heightmap.
         count: Number of angles over half a turn; 1 leaves the heightmap as it is.
         stride: The sides of a canvas are multiples of this, pixels.
-        reach: Receptive-field radius of a logit, pixels.
+        receptive_radius: Receptive-field radius of a logit, pixels.
     """
 
     angles: Tensor
@@ -67,7 +67,7 @@ class Rotations(nn.Module):
     _rows: Tensor
     _cols: Tensor
 
-    def __init__(self, shape: tuple[int, int], count: int, stride: int, reach: int):
+    def __init__(self, shape: tuple[int, int], count: int, stride: int, receptive_radius: int):
         super().__init__()
         self.shape = shape
         self.count = count
@@ -75,9 +75,9 @@ class Rotations(nn.Module):
         angles = torch.arange(count) * (math.pi / count)
         canvases = [_canvas(shape, k * math.pi / count, stride) for k in range(count)]
         self.largest = (max(height for height, _ in canvases), max(width for _, width in canvases))
-        self._side = math.ceil((2 * reach + stride) / stride) * stride
+        self._side = math.ceil((2 * receptive_radius + stride) / stride) * stride
         """Side of a window that contains everything a logit depends on, wherever its pixel is relative to the stride."""
-        self._reach = reach
+        self._receptive_radius = receptive_radius
         own = self._side <= min(min(canvas) for canvas in canvases)
         self.canvases = canvases if own else [self.largest] * count
         """Rows and columns of the canvas, by angle."""
@@ -148,7 +148,7 @@ class Rotations(nn.Module):
             corner = torch.zeros_like(pixel)
         else:
             size = (min(self._side, self.largest[0]), min(self._side, self.largest[1]))
-            aligned = (pixel - self._reach).div(self.stride, rounding_mode="floor") * self.stride
+            aligned = (pixel - self._receptive_radius).div(self.stride, rounding_mode="floor") * self.stride
             corner = torch.minimum(aligned.clamp(min=0), extent - torch.tensor(size, device=x.device))
         pixel = pixel - corner
         turn = torch.zeros(len(x), device=x.device) if turn is None else turn

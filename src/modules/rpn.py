@@ -16,7 +16,7 @@ from see2act.modules.batchnorm import BatchNorm
 from see2act.modules.network import Count, Logits, PixelNetwork, check_input, crop
 
 FPN_CHANNELS = 256
-REACH = 3
+RADIUS = 3
 """Receptive-field radius of a logit after the pyramid, in features of the finest level: two convolutions and an upsampling."""
 COARSEST = 32
 """Stride of the coarsest feature map."""
@@ -143,13 +143,13 @@ class RPN(PixelNetwork):
         # The stem, four stages and the pyramid see about 500 px to each side, which covers every heightmap here.
         features = DetectorBackbone(backbone, depth)
         head = ObjectnessHead(anchors or features.anchors, features.stride)
-        super().__init__(features, head, stride=COARSEST, reach=512)
+        super().__init__(features, head, stride=COARSEST, receptive_radius=512)
 
     def logits_at(self, x: Float[Tensor, "B 4 H W"], row: Int[Tensor, " B"], col: Int[Tensor, " B"]) -> Float[Tensor, " B"]:
         """The logit of one pixel of each input. The widest convolutions, at the end, run only on what the logit depends on."""
         backbone = cast(DetectorBackbone, self.backbone)
         with self.autocast():
             merged = backbone.merged(self.entering(x))
-            merged, row, col = crop(merged, row, col, backbone.stride, REACH)
+            merged, row, col = crop(merged, row, col, backbone.stride, RADIUS)
             logits: Tensor = self.head(backbone.smoothed(merged))
         return logits[torch.arange(len(x), device=x.device), 0, row, col].float()

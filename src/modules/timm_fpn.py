@@ -19,7 +19,7 @@ CHANNELS = 128
 """Channels of the pyramid and of the head."""
 FINEST = 4
 """Stride of the finest feature map that is used, and of the head's logits."""
-REACH = 512
+RECEPTIVE_RADIUS = 512
 """Receptive-field radius in pixels. The deepest backbones see further, and transformers see everything, but no heightmap here
 is larger."""
 
@@ -43,7 +43,10 @@ class TimmFPN(PixelNetwork):
         features = Backbone(backbone, depth, scale)
         coarsest, finest = max(features.strides), min(features.strides)
         super().__init__(
-            features, Head(finest, scale, features.overlap), stride=coarsest // math.gcd(coarsest, scale), reach=REACH
+            features,
+            Head(finest, scale, features.overlap),
+            stride=coarsest // math.gcd(coarsest, scale),
+            receptive_radius=RECEPTIVE_RADIUS,
         )
 
 

@@ -55,8 +55,8 @@ def test_tools_stop_at_walls_and_the_arm_touches_nothing(primitive: str) -> None
 def test_what_is_sensed_is_true(primitive: str, kind: str) -> None:
     row = sensing.measure([], primitive, kind, 1000, 12)
     assert row["attempts"] == 12
-    # Physics differs between processors in the last bits, so which twelve outcomes these are does too, and about one grasp at an
-    # edge in 90 is sensed wrongly (docs/robot.md). The limit on the rate is the command's to check: it needs hundreds of picks.
+    # Processors differ in the last bits of the physics, so the twelve picks are not the same everywhere, and about one grasp at
+    # an edge in 90 is sensed wrongly (docs/robot.md). The command checks the limit on the rate, which needs hundreds of picks.
     assert row["false_positives"] + row["false_negatives"] <= 1
 
 

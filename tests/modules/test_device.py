@@ -26,8 +26,8 @@ NETWORKS = {"fcn7": lambda: fcn7.FCN7(width=4), "rpn": lambda: rpn.RPN("resnet18
 def tensors_without_values(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a crop begins is read from its tensor, as is BatchNorm's epsilon: here it begins in the upper left."""
 
-    def crop(x: Tensor, row: Tensor, col: Tensor, stride: int, reach: int) -> tuple[Tensor, Tensor, Tensor]:
-        size = [min(2 * reach + 1, n) for n in x.shape[2:]]
+    def crop(x: Tensor, row: Tensor, col: Tensor, stride: int, radius: int) -> tuple[Tensor, Tensor, Tensor]:
+        size = [min(2 * radius + 1, n) for n in x.shape[2:]]
         return x[:, :, : size[0], : size[1]].clone(), row, col
 
     for module in (fcn7, rpn):

@@ -43,13 +43,13 @@ def test_width_64_is_the_paper_s() -> None:
     ]
 
 
-def test_reach_covers_everything_a_logit_depends_on(network: FCN7) -> None:
+def test_the_receptive_radius_covers_everything_a_logit_depends_on(network: FCN7) -> None:
     torch.nn.init.normal_(network.head[-2].weight)
     x = torch.randn(1, 4, 200, 200, requires_grad=True)
     network.eval()(x)[0, 0, 101, 98].backward()
     rows, cols = x.grad.abs().sum((0, 1)).nonzero().T
     far = max((rows - 101).abs().max(), (cols - 98).abs().max()).item()
-    assert network.reach - 8 <= far <= network.reach
+    assert network.receptive_radius - 8 <= far <= network.receptive_radius
 
 
 def test_a_new_head_starts_undecided(network: FCN7) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from see2act.modules.rotation import Rotations, sampling_grid, warp_nearest
 
-GRASP = Rotations((144, 144), 16, 4, reach=48)
+GRASP = Rotations((144, 144), 16, 4, receptive_radius=48)
 
 
 def _all(rotations: Rotations, x: torch.Tensor) -> list[torch.Tensor]:
@@ -51,8 +51,8 @@ def test_a_canvas_is_no_larger_than_its_angle_needs() -> None:
 
 
 def test_a_network_that_sees_further_than_a_canvas_has_the_same_for_all_angles() -> None:
-    assert Rotations((144, 144), 16, 32, reach=512).canvases == [(224, 224)] * 16
-    assert Rotations((100, 144), 1, 4, reach=48).canvases == [(100, 144)]
+    assert Rotations((144, 144), 16, 32, receptive_radius=512).canvases == [(224, 224)] * 16
+    assert Rotations((100, 144), 1, 4, receptive_radius=48).canvases == [(100, 144)]
 
 
 @settings(max_examples=60, deadline=None)
@@ -70,7 +70,7 @@ def test_rotate_and_back(k: int, row: int, col: int) -> None:
 @pytest.mark.parametrize("shape", [(144, 144), (145, 142), (143, 145)])
 @pytest.mark.parametrize("count", [1, 16])
 def test_the_first_angle_changes_nothing(shape: tuple[int, int], count: int) -> None:
-    rotations = Rotations(shape, count, 4, reach=48)
+    rotations = Rotations(shape, count, 4, receptive_radius=48)
     x = torch.randn(1, 4, *shape)
     first = torch.tensor([0])
     turned = rotations.turned(x, first, rotations.canvases[0])
@@ -80,7 +80,7 @@ def test_the_first_angle_changes_nothing(shape: tuple[int, int], count: int) -> 
 
 @pytest.mark.parametrize("shape", [(144, 144), (145, 143)])
 def test_a_window_of_odd_heightmaps_is_the_canvas_there(shape: tuple[int, int]) -> None:
-    rotations = Rotations(shape, 16, 4, reach=8)
+    rotations = Rotations(shape, 16, 4, receptive_radius=8)
     x = torch.randn(16, 4, *shape)
     angle, row, col = torch.arange(16), torch.arange(16) * 4 + 40, torch.arange(16) * 3 + 50
     window, rows, cols = rotations.window(x, angle, row, col)
@@ -133,7 +133,7 @@ def test_a_window_turns_about_its_pixel(turn: float) -> None:
 
 
 def test_a_window_is_shifted_along_the_canvas() -> None:
-    suction = Rotations((144, 144), 1, 4, reach=48)
+    suction = Rotations((144, 144), 1, 4, receptive_radius=48)
     x = torch.randn(1, 4, 144, 144)
     pixel = torch.tensor([0]), torch.tensor([60]), torch.tensor([80])
     window, i, j = suction.window(x, *pixel, None, torch.tensor([[2.0, -3.0]]))

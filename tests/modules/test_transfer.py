@@ -54,7 +54,7 @@ def test_beyond_a_turned_heightmap_lies_the_average_pixel_whatever_the_weights_l
     network.normalization.average.copy_(torch.tensor([51 / 255, 102 / 255, 153 / 255, 0.03]))
     color = torch.tensor([51, 102, 153], dtype=torch.uint8).expand(1, 32, 32, 3)
     prepared = network.prepare(color, torch.full((1, 32, 32), 0.03))
-    rotations = Rotations((32, 32), 4, network.stride, network.reach)
+    rotations = Rotations((32, 32), 4, network.stride, network.receptive_radius)
     seen = network.entering(rotations.turned(prepared, torch.tensor([1])))
     assert seen.shape[2] > 32  # with room beyond the corners
     expected = (network.normalization.average - network.normalization.mean) / network.normalization.std

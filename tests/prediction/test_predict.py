@@ -41,7 +41,9 @@ class Highest(nn.Module):
 
 @pytest.fixture(scope="module")
 def highest(config: Callable[..., DictConfig]) -> TrainedModel:
-    return TrainedModel(PixelNetwork(Highest(), nn.Identity(), stride=4, reach=1), config("primitive=suction"), "none")
+    return TrainedModel(
+        PixelNetwork(Highest(), nn.Identity(), stride=4, receptive_radius=1), config("primitive=suction"), "none"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +135,7 @@ def test_a_floor_that_is_not_at_zero_is_asked_for(image: dict, highest: TrainedM
 
 def test_a_grasp_has_room_between_the_bounds(image: dict, robot: SimulatedRobot, config: Callable[..., DictConfig]) -> None:
     cfg = config("primitive=grasp")
-    model = TrainedModel(PixelNetwork(Highest(), nn.Identity(), stride=4, reach=1), cfg, "none")
+    model = TrainedModel(PixelNetwork(Highest(), nn.Identity(), stride=4, receptive_radius=1), cfg, "none")
     found = see2act.predict(**image, checkpoint=model, pose=robot.camera.pose, bounds=BOUNDS, count=40, apart=0.005)
     along, across = cfg.primitive.footprint
     for pick in found.picks:
@@ -164,7 +166,7 @@ def test_jaws_close_across_a_bar(degrees: float, config: Callable[..., DictConfi
     depth = np.where(bar, 0.96, 1.0).astype(np.float32)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[2, 3] = 1.0
-    model = TrainedModel(PixelNetwork(Bars(), nn.Identity(), stride=4, reach=20), config("primitive=grasp"), "none")
+    model = TrainedModel(PixelNetwork(Bars(), nn.Identity(), stride=4, receptive_radius=20), config("primitive=grasp"), "none")
     intrinsics = np.array([[1000.0, 0, 199.5], [0, 1000, 199.5], [0, 0, 1]])
     color = np.zeros((400, 400, 3), np.uint8)
     found = see2act.predict(color, depth, intrinsics, model, pose=pose, bounds=BOUNDS, count=1)
