@@ -11,7 +11,7 @@ from benchmarks.common import PRIMITIVES, arguments, at_least_one, finish, parse
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.robot.arm import JOINTS, pointing_down
-from see2act.robot.robot import LIFT, SimulatedRobot
+from see2act.robot.simulated import LIFT, SimulatedRobot
 from see2act.robot.types import Pick
 from see2act.seeding import generator, seed_for
 

@@ -12,7 +12,7 @@ from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.experiment.results import SPLITS
 from see2act.robot.oracle import ExactHeights
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
 from see2act.robot.types import Split
 from see2act.seeding import seed_for

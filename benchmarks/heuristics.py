@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from see2act.attempt import Affordances
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 
 FLAT = 0.005
 """Metres above the floor below which it is taken for the floor."""

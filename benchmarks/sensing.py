@@ -18,7 +18,7 @@ from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.experiment.results import SPLITS
 from see2act.robot.oracle import ExactHeights, oracle
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Pick
 from see2act.seeding import generator, seed_for
 

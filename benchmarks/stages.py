@@ -26,7 +26,7 @@ from see2act.experiment.precision import computes_bf16
 from see2act.modules.affordance import AffordanceModule, AttemptBatch
 from see2act.modules.batchnorm import batchnorms
 from see2act.modules.network import PRECISIONS, PixelNetwork
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.seeding import generator
 
 GRADIENT = 1e-4

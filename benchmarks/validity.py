@@ -27,7 +27,7 @@ from see2act.experiment.results import SPLITS, wilson
 from see2act.files import write_json
 from see2act.policy import Policy
 from see2act.robot.oracle import ExactHeights, oracle
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Split
 from see2act.seeding import generator
 

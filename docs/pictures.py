@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from see2act.experiment import build
 from see2act.experiment.config import composed
 from see2act.robot.oracle import oracle
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.video import BYSTANDER
 
 DOCS = Path(__file__).parent

@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 
 from see2act.experiment import build
 from see2act.experiment.config import composed
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 
 # As many tests run at once as there are cores. Threads of torch that find no free core wait for each other, busily.
 torch.set_num_threads(1)

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from see2act.datamodules.labels import Task
 from see2act.experiment.identity import code_hash, hash_of, packages, plain
 from see2act.policy import Policy
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 
 if TYPE_CHECKING:
     import lightning as L

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from see2act.robot.gripper import Gripper
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.suction import SuctionCup
 from see2act.robot.types import RobotError
 

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from see2act.datamodules.labels import View, plane_fit
 from see2act.experiment import build
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Heightmap
 
 TASKS = ("edge", "corner", "center", "foreground", "normal")

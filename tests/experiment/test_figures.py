@@ -11,7 +11,7 @@ import pytest
 
 from see2act.experiment import figures
 from see2act.experiment.attempts import AttemptRow
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Pick
 from tests.factory import attempt_row
 

@@ -9,7 +9,7 @@ import pytest
 from see2act.robot import heightmap as hm
 from see2act.robot.camera import DepthNoise
 from see2act.robot.oracle import ExactHeights
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 
 
 @pytest.fixture(scope="module")

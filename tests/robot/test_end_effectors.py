@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from see2act.robot.gripper import DRIVER, FOLLOWERS, PADS
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Outcome, Pick
 
 

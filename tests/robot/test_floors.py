@@ -10,7 +10,7 @@ from see2act.errors import ConfigError
 from see2act.experiment.checks import check_parts, validate
 from see2act.robot.floors import MATERIALS, floor_picture
 from see2act.robot.objects import shape
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.seeding import generator
 
 TEXTURED = ("robot.bin.floor=textured", "robot.bin.distractors=6", "robot.layouts=null")

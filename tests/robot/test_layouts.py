@@ -10,7 +10,7 @@ import pytest
 
 from see2act.errors import DamagedFile
 from see2act.experiment import build
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
 
 

@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from see2act.robot.meshes import LARGEST, MeshSet, mesh_shape
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.solids import box
 from see2act.robot.types import RobotError
 

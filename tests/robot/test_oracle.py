@@ -9,7 +9,7 @@ from see2act.attempt import attempt
 from see2act.policy import Policy
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.oracle import HOPELESS, oracle
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import RobotError
 
 PLAIN = Policy("argmax", False, 0.0025)

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from see2act.robot.robot import SimulatedRobot
 from see2act.robot.scene import AT_REST
+from see2act.robot.simulated import SimulatedRobot
 
 
 @pytest.fixture(scope="module")

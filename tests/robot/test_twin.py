@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from see2act.robot import heightmap as hm
 from see2act.robot.household import HOUSEHOLD
 from see2act.robot.objects import ObjectSet, shape
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.textures import TEXTURES
 from see2act.robot.types import RobotError
 

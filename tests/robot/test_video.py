@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from see2act.robot.robot import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
 from see2act.robot.types import Outcome
 from see2act.robot.video import BYSTANDER, FRAME_STEPS, film
