@@ -15,10 +15,11 @@ from jinja2 import Environment, StrictUndefined
 
 from see2act.analysis import paper
 from see2act.analysis.commands import command
+from see2act.analysis.contrasts import aggregates, contrasts, findings
 from see2act.analysis.groups import Comparison, Found, Group
 from see2act.analysis.plots import Picture
 from see2act.analysis.runs import Run
-from see2act.analysis.summary import Row, aggregates, contrasts, findings
+from see2act.analysis.summary import Row
 from see2act.experiment.results import SPLITS
 from see2act.files import replacing
 

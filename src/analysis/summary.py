@@ -1,11 +1,9 @@
-"""The numbers of a report: a row for every group, and what may be concluded from two of them."""
+"""The numbers of a report: a row for every group."""
 
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +13,8 @@ from see2act.analysis import paper
 from see2act.analysis.commands import command_for
 from see2act.analysis.groups import ENOUGH, Comparison, Found, Group
 from see2act.analysis.intervals import (
-    improvement,
-    improvement_interval,
     interquartile_interval,
     interquartile_mean,
-    mean_difference_interval,
     mean_interval,
     t_interval,
 )
@@ -68,6 +63,12 @@ def one_measurement(group: Group, measure: str) -> bool:
     return len({tuple(run.scores(*MEASURES[measure])) for run in group.runs}) == 1
 
 
+def scores_of(group: Group, measure: str = "after_unseen") -> np.ndarray:
+    """Success rate (seed, test run); of one seed where all are one measurement."""
+    runs = group.runs[:1] if one_measurement(group, measure) else group.runs
+    return np.array([run.scores(*MEASURES[measure]) for run in runs])
+
+
 def rows(found: Found) -> list[Row]:
     """A row for every group in the paper's order, and for every group of the paper that is missing."""
     present = [_row(comparison, group) for comparison in found.comparisons for group in comparison.groups]
@@ -113,7 +114,7 @@ def _row(comparison: Comparison, group: Group) -> Row:
         row |= {f"{gain}_{part}": text for gain, pair in GAINS.items() for part, text in _gained(group, *pair).items()}
     scores = scores_of(group)
     interval = interquartile_interval([scores]) if len(scores) >= ENOUGH else (None, None)
-    row |= dict(zip(IQM, map(_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))
+    row |= dict(zip(IQM, map(number_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))
     return row | {"note": "" if group.learned else "never fine-tuned"}
 
 
@@ -128,14 +129,14 @@ def _summed(counts: list[tuple[int, int]]) -> Row:
     successes, attempts = (sum(column) for column in zip(*counts, strict=True))
     interval = mean_interval(each) if len(each) >= ENOUGH else None
     numbers = (float(np.mean(each)), *(interval or (None, None)), successes, attempts, *wilson(successes, attempts))
-    return dict(zip(PARTS, map(_text, numbers), strict=True))
+    return dict(zip(PARTS, map(number_text, numbers), strict=True))
 
 
 def _gained(group: Group, after: str, before: str) -> Row:
     each = [a - b for a, b in zip(_rates(group.runs, after), _rates(group.runs, before), strict=True)]
     interval = t_interval(each) if len(each) >= ENOUGH else None
     numbers = (float(np.mean(each)), *(interval or (None, None)), min(each))
-    return dict(zip(GAIN_PARTS, map(_text, numbers), strict=True))
+    return dict(zip(GAIN_PARTS, map(number_text, numbers), strict=True))
 
 
 def _rates(runs: Sequence[Run], measure: str) -> list[float]:
@@ -146,7 +147,8 @@ def _counts(run: Run, measure: str) -> tuple[int, int]:
     return run.learning if measure == LEARNING else run.counts(*MEASURES[measure])
 
 
-def _text(number: float | int | None) -> str:
+def number_text(number: float | int | None) -> str:
+    """As tables show it: a whole number, three decimals, or nothing for None."""
     if number is None:
         return ""
     return str(number) if isinstance(number, int) else f"{number:.3f}"
@@ -210,123 +212,6 @@ def _conditions(config: dict[str, str]) -> list[str]:
 def _same(primitive: str, published: str) -> bool:
     """Whether ours is the paper's primitive: ``grasp_rg2`` is grasping too."""
     return primitive.split("_")[0] == published
-
-
-def scores_of(group: Group, measure: str = "after_unseen") -> np.ndarray:
-    """Success rate (seed, test run); of one seed where all are one measurement."""
-    runs = group.runs[:1] if one_measurement(group, measure) else group.runs
-    return np.array([run.scores(*MEASURES[measure]) for run in runs])
-
-
-@dataclass(frozen=True)
-class Contrast:
-    """How probably a seed of one group does better than one of another; numbers are empty below ``ENOUGH`` seeds of either."""
-
-    group: Group
-    other: Group
-    measure: str
-    verdict: str
-    probability: str
-    low: str
-    high: str
-    difference: str
-    """Of the means."""
-    difference_low: str
-    difference_high: str
-
-
-def contrasts(comparison: Comparison, measure: str) -> list[Contrast]:
-    """Every group with the baseline, and groups of one source with each other."""
-    pairs = [
-        (group, other)
-        for i, group in enumerate(comparison.groups)
-        for other in comparison.groups[:i]
-        if other.transfer == "none" or group.task == other.task
-    ]
-    compared = []
-    for group, other in pairs:
-        a, b = (rates(each, measure) for each in (group, other))
-        if not (a and b):
-            continue
-        left, right = np.array(a), np.array(b)
-        low, high = improvement_interval(left, right)
-        limits = mean_difference_interval(a, b)
-        numbers: tuple[float | None, ...] = (None,) * 6
-        if limits and min(len(a), len(b)) >= ENOUGH:
-            numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
-        told = verdict(len(a), len(b), (low, high), limits or (-math.inf, math.inf))
-        compared.append(Contrast(group, other, measure, told, *map(_text, numbers)))
-    return compared
-
-
-WHEN = {LEARNING: "while learning", "after_unseen": "on unseen objects after fine-tuning"}
-
-
-def findings(comparison: Comparison) -> list[str]:
-    """A sentence for each contrast whose intervals allow a conclusion, and one for the others."""
-    found = [contrast for measure in WHEN for contrast in contrasts(comparison, measure)]
-    sentences = [
-        f"{c.group.name} is {c.verdict} than {c.other.name} {WHEN[c.measure]}: success rate {float(c.difference):+.2f} "
-        f"[{float(c.difference_low):+.2f}, {float(c.difference_high):+.2f}]."
-        for c in found
-        if c.verdict in ("better", "worse")
-    ]
-    few = sum(c.verdict.startswith("too few") for c in found)
-    equal = len(found) - len(sentences) - few
-    if equal:
-        sentences.append(f"In {equal} of {len(found)} comparisons of two groups we found no significant difference.")
-    if few:
-        sentences.append(f"{few} of {len(found)} comparisons of two groups have too few seeds for a conclusion.")
-    return sentences or ["There are no two groups to compare: the baseline is task=none transfer=none."]
-
-
-def verdict(n: int, m: int, improvement: tuple[float, float], difference: tuple[float, float]) -> str:
-    """What ``n`` seeds against ``m`` allow to say.
-
-    A bootstrap of few seeds is too sure, so Welch's interval has to agree with it.
-
-    Args:
-        n, m: Seeds.
-        improvement: Interval of the probability of improvement.
-        difference: Interval of the difference of the means.
-    """
-    chance = 2 / math.comb(n + m, n)  # of the seeds of two equal groups to fall entirely apart, either way
-    if min(n, m) < ENOUGH or chance > 0.05:
-        odds = "always" if chance >= 1 else f"one time in {1 / chance:.2g}"
-        return f"too few seeds to conclude ({n} and {m}): equal groups would separate completely {odds}"
-    if improvement[0] > 0.5 and difference[0] > 0:
-        return "better"
-    if improvement[1] < 0.5 and difference[1] < 0:
-        return "worse"
-    return "no significant difference"
-
-
-@dataclass(frozen=True)
-class Aggregate:
-    """The interquartile mean of several groups together."""
-
-    transfer: str
-    sources: str
-    mean: str
-    low: str
-    high: str
-
-
-def aggregates(comparison: Comparison) -> list[Aggregate]:
-    """Every kind of transfer over its sources, on unseen objects; none where a source has several configurations."""
-    kinds = {
-        kind: [group for group in comparison.groups if group.transfer == kind]
-        for kind in dict.fromkeys(a.transfer for a in comparison.groups)
-    }
-    if not all(group.alone for group in comparison.groups) or max(map(len, kinds.values())) < 2:
-        return []
-    together = []
-    for kind, groups in kinds.items():
-        strata = [scores_of(group) for group in groups]
-        mean = float(interquartile_mean(np.concatenate([scores.ravel() for scores in strata])))
-        interval = interquartile_interval(strata) if min(map(len, strata)) >= ENOUGH else (None, None)
-        together.append(Aggregate(kind, ", ".join(group.task for group in groups), *map(_text, (mean, *interval))))
-    return together
 
 
 def write_csv(lines: list[Row], path: Path, columns: Sequence[str] = COLUMNS) -> None:

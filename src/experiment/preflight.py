@@ -11,7 +11,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from see2act.errors import ConfigError
-from see2act.experiment.checks import check_run, check_schema, validate
+from see2act.experiment.annotations import check_schema
+from see2act.experiment.checks import check_run, validate
 from see2act.experiment.config import Config, composed_as_typed, one_line
 from see2act.experiment.folder import refuse_foreign
 from see2act.files import writable

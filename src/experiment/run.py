@@ -12,7 +12,7 @@ import torch
 from omegaconf import DictConfig
 
 from see2act.datamodules.collect import Collection
-from see2act.experiment import attempts, build, figures, model_file
+from see2act.experiment import attempts, build, charts, figures, model_file
 from see2act.experiment.context import RunContext
 from see2act.experiment.dashboard import Dashboard
 from see2act.experiment.identity import CHOICES, commit, config_hash, versions
@@ -101,8 +101,8 @@ def _draw_acting(
 ) -> None:
     """How learning went, and what the models make of test scenes."""
     cfg, out, rows = context.cfg, context.figures, attempts.read(context.log.path)
-    figures.learning_curve(rows, out / "learning_curve.png", context.title)
-    figures.diagnosis(rows, out / "diagnosis.png", context.title)
+    charts.learning_curve(rows, out / "learning_curve.png", context.title)
+    charts.diagnosis(rows, out / "diagnosis.png", context.title)
     models = {"before fine-tuning": before, "after fine-tuning": module}
     if vision:
         seeing = copy.deepcopy(before)

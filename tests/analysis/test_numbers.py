@@ -10,10 +10,11 @@ import torchvision
 from omegaconf import DictConfig
 
 from see2act.analysis import paper, runs
+from see2act.analysis.contrasts import aggregates, contrasts, verdict
 from see2act.analysis.groups import SHOWN, find
 from see2act.analysis.plots import _blocks, _failures
 from see2act.analysis.runs import CONDITIONS
-from see2act.analysis.summary import aggregates, contrasts, progress, rows, verdict
+from see2act.analysis.summary import progress, rows
 from see2act.experiment.results import wilson
 from see2act.modules.nanodet_weights import FILE as NANODET
 

@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import pytest
 
-from see2act.experiment import figures
+from see2act.experiment import charts, figures
 from see2act.experiment.attempts import AttemptRow
 from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Pick
@@ -22,7 +22,7 @@ def _row(step: int, score: float, success: int, **more: Any) -> AttemptRow:
 
 def test_reliability_counts_by_tenths_of_the_prediction() -> None:
     rows = [_row(i, 0.31 + 0.02 * i, i % 2) for i in range(4)] + [_row(9, 1.0, 1)]
-    (predicted, observed, low, high), sure = figures._reliability(rows)
+    (predicted, observed, low, high), sure = charts._reliability(rows)
     assert predicted == pytest.approx(0.34)
     assert observed == 0.5
     assert 0 < low < 0.5 < high < 1
@@ -32,7 +32,7 @@ def test_reliability_counts_by_tenths_of_the_prediction() -> None:
 def test_repeats_are_within_an_episode_and_after() -> None:
     rows = [_row(1, 0.5, 0, episode=0, x=0.1, y=0.0), _row(2, 0.5, 0, episode=0, x=0.107, y=-0.007)]
     rows.append(_row(3, 0.5, 0, episode=1, x=0.1, y=0.0))
-    assert [figures._near_earlier(row, rows) for row in rows] == [False, True, False]
+    assert [charts._near_earlier(row, rows) for row in rows] == [False, True, False]
 
 
 def test_calibration_is_that_of_one_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,8 +43,8 @@ def test_calibration_is_that_of_one_policy(tmp_path: Path, monkeypatch: pytest.M
     ]
     rows += [_row(i + 1, 0.5, 0) for i in range(5)]
     counted: list[int] = []
-    monkeypatch.setattr(figures, "_reliability", lambda rows: counted.append(len(rows)) or [])
-    figures.diagnosis(rows, tmp_path / "diagnosis.png", "a run")
+    monkeypatch.setattr(charts, "_reliability", lambda rows: counted.append(len(rows)) or [])
+    charts.diagnosis(rows, tmp_path / "diagnosis.png", "a run")
     assert counted == [7, 5, 7]
 
 
@@ -52,7 +52,7 @@ def test_calibration_is_that_of_one_policy(tmp_path: Path, monkeypatch: pytest.M
 def test_learning_is_diagnosed_also_where_all_attempts_end_alike(tmp_path: Path, learned: int) -> None:
     rows = [_row(step, 0.07 * i, 1, phase=phase) for step, phase in ((0, "zero_shot"), (learned, "eval")) for i in range(15)]
     rows += [_row(i + 1, 0.02 * i, 0, episode=i // 10) for i in range(learned)]
-    figures.diagnosis(rows, tmp_path / "diagnosis.png", "a run")
+    charts.diagnosis(rows, tmp_path / "diagnosis.png", "a run")
     assert (tmp_path / "diagnosis.png").stat().st_size > 10_000
 
 
