@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from see2act.modules.affordance import AffordanceModule
 from see2act.modules.transfer import copy_parts
 
 log = logging.getLogger("see2act")
+STAGES = ("collect", "pretrain", "transfer", "finetune", "evaluate")
 
 
 def run(cfg: DictConfig, folder: Path) -> RunResult:
@@ -50,27 +53,36 @@ def _stages(context: RunContext) -> RunResult:
     def make_trainer(**more: Any) -> L.Trainer:
         return build.trainer(cfg, context.folder, context.dashboard.logger, **more)
 
-    with progress.timed("collect"):
+    with _stage(context, "collect"):
         collection = collected(cfg)
-    with progress.timed("pretrain"):
+    with _stage(context, "pretrain"):
         vision = vision_model(cfg, collection, make_trainer)
         _keep_vision_model(context, vision)
     with progress.timed("figures"):
         _draw_seeing(context, collection, vision)
-    with progress.timed("transfer"):
+    with _stage(context, "transfer"):
         module, report = affordance_model(cfg, collection, vision)
         write_json(context.folder / "transfer.json", report.as_dict())
         log.info(report.summary())
     del collection  # it may be a gigabyte, and what follows takes long
     before = copy.deepcopy(module)
-    with progress.timed("finetune"):
+    with _stage(context, "finetune"):
         finetune(context, module, make_trainer)
         model_file.save(context.checkpoints / model_file.FILE, module.acting, cfg)
-    evaluate_argmax(context, module)
+    with _stage(context, "evaluate"):
+        evaluate_argmax(context, module)
     with progress.timed("figures"):
         _draw_acting(context, vision, before, module)
     context.dashboard.show(context.folder)
     return _finish(context)
+
+
+@contextmanager
+def _stage(context: RunContext, name: str) -> Iterator[None]:
+    """Say which stage begins, and count its seconds."""
+    log.info("stage %d of %d: %s", STAGES.index(name) + 1, len(STAGES), name)
+    with context.progress.timed(name):
+        yield
 
 
 def _keep_vision_model(context: RunContext, vision: VisionCheckpoint | None) -> None:

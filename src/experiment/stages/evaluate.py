@@ -42,8 +42,7 @@ def evaluate_argmax(context: RunContext, module: AffordanceModule) -> None:
     if not policy.suppress:
         progress.argmax = progress.evaluations[context.attempts].model_copy(update={"repeated": True})
     elif progress.argmax is None:
-        with progress.timed("evaluate"):
-            progress.argmax = _Evaluation(context, module, policy.plain(), context.attempts).run()
+        progress.argmax = _Evaluation(context, module, policy.plain(), context.attempts).run()
     progress.save()
 
 
