@@ -59,7 +59,7 @@ class AttemptRow(Place):
     cause: str
     """``ok``, or why it failed."""
     lost: int
-    """Objects that left the bin without being held."""
+    """Objects that left the bin without being picked."""
     robot_seconds: float
     """What the motion takes at the configured joint speed."""
     t_observe: float
