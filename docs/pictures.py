@@ -1,13 +1,16 @@
-"""Makes the pictures of robot.md: `python docs/pictures.py`."""
+"""Makes the pictures of robot.md and the diagram of architecture.md: `python docs/pictures.py`."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
 from omegaconf import DictConfig
 
 from see2act.experiment import build
@@ -116,7 +119,80 @@ def label(picture: np.ndarray, text: str) -> np.ndarray:
     return picture
 
 
+ATTEMPT = {
+    "observe": (("camera image", "robot/camera.py"), ("heightmap", "robot/heightmap.py")),
+    "decide": (
+        ("rotated heightmaps", "modules/rotation.py"),
+        ("logits of success", "modules/network.py"),
+        ("affordances", "modules/affordance.py"),
+        ("one pixel, one angle", "policy.py"),
+        ("pick", "robot/workspace.py"),
+    ),
+    "act": (("motion of the arm", "robot/simulated.py"), ("sensed outcome", "robot/types.py")),
+    "remember": (("replay", "datamodules/replay.py"),),
+    "learn": (("learning step", "modules/affordance.py"),),
+}
+"""What an attempt makes in each step of the loop, and the file in `src/` that makes it."""
+WIDE, HIGH = 0.84, 0.34
+"""Half of a box."""
+
+
+def attempt(path: Path) -> None:
+    """The data flow of an attempt: columns are the steps of the loop, boxes what they make, with the file that makes it."""
+    figure = Figure(figsize=(11, 5.4))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(-0.1, 10.9), ylim=(-5.2, 1.1))
+    axes.axis("off")
+    at: dict[tuple[str, int], tuple[float, float]] = {}
+    for column, (step, boxes) in enumerate(ATTEMPT.items()):
+        x = 2.2 * column + 0.85
+        axes.text(x, 0.75, f"{column + 1}. {step}", ha="center", fontsize=12, weight="bold")
+        for i, (name, file) in enumerate(boxes):
+            at[step, i] = x, -1.05 * i
+            axes.add_patch(FancyBboxPatch((x - 0.8, -1.05 * i - 0.3), 1.6, 0.6, "round,pad=0.04", fc="#e8eef7", ec="#4a6fa5"))
+            axes.text(x, -1.05 * i + 0.1, name, ha="center", va="center", fontsize=9)
+            axes.text(x, -1.05 * i - 0.15, file, ha="center", va="center", fontsize=7.5, family="monospace", color="#444444")
+
+    def arrow(*points: tuple[float, float], words: str = "") -> None:
+        """Through the points; dashed and with words if it is not of the way from image to learning step."""
+        style = "--" if words else "-"
+        axes.plot(
+            *np.array(points[:-1] if len(points) > 2 else points[:1]).T, style, color="black", lw=1, solid_capstyle="butt"
+        )
+        arrowprops = {"arrowstyle": "-|>", "color": "black", "lw": 1, "ls": style, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", points[-1], points[-2], arrowprops=arrowprops)
+        if words:
+            (x, y), (u, v) = points[1:3]
+            axes.text(
+                0.6 * x + 0.4 * u,
+                0.6 * y + 0.4 * v,
+                words,
+                fontsize=9,
+                style="italic",
+                ha="center",
+                va="center",
+                bbox={"fc": "white", "ec": "none"},
+            )
+
+    places = list(at)
+    for here, there in itertools.pairwise(places):
+        (x, y), (u, v) = at[here], at[there]
+        if here[0] == there[0]:
+            arrow((x, y - HIGH), (u, v + HIGH))
+        else:
+            gutter = (x + u) / 2
+            arrow((x + WIDE, y), (gutter, y), (gutter, v), (u - WIDE, v))
+    (x, y), (u, v) = at["learn", 0], at["decide", 1]
+    arrow((x, y - HIGH), (x, -4.9), (u - WIDE - 0.2, -4.9), (u - WIDE - 0.2, v), (u - WIDE, v), words="new weights")
+    (x, y), (u, v) = at["learn", 0], at["remember", 0]
+    arrow((x - 0.4, y - HIGH), (x - 0.4, -1.05), (u, -1.05), (u, v - HIGH), words="TD errors")
+    (x, y), (u, v) = at["act", 1], at["decide", 3]
+    arrow((x, y - HIGH), (x, v), (u + WIDE, v), words="failed picks")
+    figure.savefig(path, dpi=110)
+
+
 if __name__ == "__main__":
+    attempt(DOCS / "attempt.png")
     pictures = {"objects": objects(), "scene": scene(), "tools": tools(), "picks": np.vstack([pick("suction"), pick("grasp")])}
     for name, picture in pictures.items():
         cv2.imwrite(str(DOCS / f"{name}.png"), picture[..., ::-1])

@@ -30,6 +30,16 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert "see2act.datamodules.labels.Task" in (tmp_path / "site" / "reference" / "api.html").read_text()
 
 
+def test_files_that_pages_name_exist() -> None:
+    diagram = re.findall(r'"(\w+(?:/\w+)*\.py)"\)', (ROOT / "docs" / "pictures.py").read_text())
+    assert len(diagram) >= 10
+    named = [f"src/{file}" for file in diagram]
+    for page in PAGES:
+        named += re.findall(r"`((?:src|conf|tests|benchmarks)/[\w/.]+\.(?:py|yaml))`", page.read_text())
+    assert len(named) > 60
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= LONG
 

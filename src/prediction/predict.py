@@ -12,7 +12,7 @@ from scipy.special import expit
 
 from see2act.experiment.model_file import TrainedModel, load
 from see2act.policy import room_between_walls
-from see2act.prediction.view import ImageError, View, look
+from see2act.prediction.posed_image import ImageError, PosedImage, look
 from see2act.robot.heightmap import fill_in, highest
 from see2act.robot.types import Heightmap
 from see2act.robot.workspace import Workspace
@@ -142,7 +142,7 @@ def predict(
     )
 
 
-def _risen(view: View, heightmap: Heightmap) -> Bool[np.ndarray, "H W"]:
+def _risen(view: PosedImage, heightmap: Heightmap) -> Bool[np.ndarray, "H W"]:
     """Where the heightmap is above the empty bin; everywhere without one."""
     if view.background is None:
         return np.ones(view.workspace.shape, bool)
@@ -153,7 +153,7 @@ def _risen(view: View, heightmap: Heightmap) -> Bool[np.ndarray, "H W"]:
     return np.asarray(heightmap.height - under.height > STATIC)
 
 
-def _pick(view: View, source: np.ndarray, logits: np.ndarray, at: tuple[int, int, int]) -> ScoredPick:
+def _pick(view: PosedImage, source: np.ndarray, logits: np.ndarray, at: tuple[int, int, int]) -> ScoredPick:
     angle, row, col = at
     seen = int(source[row, col])
     v, u = divmod(seen, view.depth.shape[1])

@@ -24,7 +24,7 @@ from see2act.experiment import model_file as model_files
 from see2act.experiment.model_file import ModelFileError, TrainedModel
 from see2act.modules.network import PixelNetwork
 from see2act.prediction.picture import _direction_in_image
-from see2act.prediction.view import HALF, ImageError, _workspace, floor_pose
+from see2act.prediction.posed_image import HALF, ImageError, _workspace, floor_pose
 from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Observation
 from tests.modules.make import make_module

@@ -37,7 +37,7 @@ class ImageError(UserError, ValueError):
 
 
 @dataclass(frozen=True)
-class View:
+class PosedImage:
     """An image in a frame that has its origin on the floor, in the middle of the bounds."""
 
     color: UInt8[np.ndarray, "h w 3"]
@@ -65,7 +65,7 @@ def look(
     bounds: tuple[float, float, float, float] | None,
     floor: float | None,
     pixel: float,
-) -> View:
+) -> PosedImage:
     """Check everything, and find the floor.
 
     Args:
@@ -98,7 +98,7 @@ def look(
     origin = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2, floor])
     moved = points - origin.astype(np.float32)
     moved_empty = moved if background is None else empty_points - origin.astype(np.float32)
-    return View(color, depth, moved, background, moved_empty, workspace, origin, to_world)
+    return PosedImage(color, depth, moved, background, moved_empty, workspace, origin, to_world)
 
 
 def _floor(heights: Float[np.ndarray, " n"], known_pose: bool, given: float | None) -> float:
