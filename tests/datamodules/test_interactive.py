@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 import torch
 
-from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt, TrialAndError
+from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt
 from see2act.datamodules.replay import Replay
+from see2act.datamodules.trial_and_error import TrialAndError
 from see2act.modules.affordance import AttemptBatch
 from see2act.policy import Policy
 from see2act.robot.group import RobotGroup

@@ -10,8 +10,9 @@ import lightning as L
 import torch
 from hydra.utils import instantiate
 
-from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt, TrialAndError
+from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt
 from see2act.datamodules.replay import Replay
+from see2act.datamodules.trial_and_error import TrialAndError
 from see2act.errors import ConfigError
 from see2act.experiment import build
 from see2act.experiment.attempts import AttemptRow, Place
