@@ -38,6 +38,7 @@ def _width(overrides: tuple[str, ...]) -> tuple[str, ...]:
 def train(folder: Path, cache: Path, *overrides: str) -> str:
     done = subprocess.run(command_of(folder, cache, *overrides), capture_output=True, text=True, timeout=500, cwd=folder.parent)
     assert done.returncode == 0, done.stderr[-3000:]
+    assert "warning" not in done.stderr.lower(), done.stderr[-3000:]
     return done.stdout
 
 

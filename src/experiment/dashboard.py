@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,13 @@ class Dashboard:
         if not cfg.logger:
             return cls()
         logger: Logger = instantiate(cfg.logger)(save_dir=str(folder), name=name.replace(" ", "-"))
+        if isinstance(logger, WandbLogger):
+            import wandb
+
+            # Otherwise it is silent only after it has warned of a setting that Lightning always passes.
+            if cfg.logger.get("offline"):
+                os.environ["WANDB_MODE"] = "offline"  # as Lightning does, later
+            wandb.setup()
         config: Any = OmegaConf.to_container(cfg, resolve=True)
         logger.log_hyperparams(config)
         return cls(logger)
