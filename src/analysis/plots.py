@@ -7,41 +7,25 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from see2act.analysis.groups import ENOUGH, Comparison, Group
-from see2act.analysis.intervals import mean_interval
+from see2act.analysis.drawing import OTHER_COLOR, STYLE, band, band_words, bar_words, dots, legend, level, look
+from see2act.analysis.groups import Comparison, Group
 from see2act.analysis.summary import published_for, rates
 from see2act.experiment.results import BLOCK, SPLITS
 from see2act.files import replacing
 
-COLORS = {
-    **{"none": "#4d4d4d", "normal": "#0072b2", "center": "#e69f00", "corner": "#009e73", "edge": "#d55e00"},
-    **{"foreground": "#cc79a7", "imagenet": "#56b4e9", "coco": "#7b5c3e"},
-}
-"""Okabe and Ito's palette, which colour-blind readers can tell apart; grey for the baseline."""
-OTHER_COLOR = "#8a8a2e"
-LINES = {"none": "-", "full": "-", "backbone": "--", "fixed": ":"}
-MARKERS = {"none": "o", "full": "o", "backbone": "s", "fixed": "D"}
 CAUSES = {
     **{"missed": "#b3b3b3", "no_seal": "#56b4e9", "slipped": "#e69f00", "collision": "#d55e00"},
     **{"wall": "#7b5c3e", "unreachable": "#4d4d4d", "ok": "#009e73"},
 }
 """Colours; what is called ``ok`` here was held, and not sensed."""
-STYLE: dict[Any, Any] = {
-    **{"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True},
-    **{"grid.alpha": 0.25, "axes.axisbelow": True, "legend.frameon": False, "legend.fontsize": 8, "figure.facecolor": "white"},
-    **{"svg.hashsalt": "see2act"},  # the same runs give the same file
-}
 
 
 @dataclass(frozen=True)
@@ -94,24 +78,24 @@ def curves(comparison: Comparison) -> Drawn:
         return None
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.9), sharey=True, layout="constrained")
     for group in groups:
-        color, style = _look(comparison, group)
+        color, style = look(comparison, group)
         if group not in learned:
             for axes in (left, right):
-                _level(axes, rates(group, "zero_shot_seen"), style)
+                level(axes, rates(group, "zero_shot_seen"), style)
             left.plot([], [], label=f"{group.name} (by the protocol)", **style | {"marker": ""})
             continue
         blocks = _blocks(group)
-        _band(left, blocks.steps, blocks.rates, color, style, group.name)
+        band(left, blocks.steps, blocks.rates, color, style, group.name)
         if blocks.timed.any():
-            _band(right, blocks.minutes.mean(axis=0), blocks.rates[blocks.timed], color, style, None)
+            band(right, blocks.minutes.mean(axis=0), blocks.rates[blocks.timed], color, style, None)
     left.set(xlabel="fine-tuning attempts", ylabel="success rate while learning", ylim=(-0.02, 1.02))
     right.set(xlabel="minutes of robot motion")
     left.set_xlim(left=0)
     right.set_xlim(left=0)
-    _legend(figure, left)
+    legend(figure, left)
     ends = "; ".join(f"{group.name} {_last(group):.2f}" for group in learned)
     caption = (
-        f"Blocks of {BLOCK} exploring attempts, mean over seeds. {_band_words(learned)} "
+        f"Blocks of {BLOCK} exploring attempts, mean over seeds. {band_words(learned)} "
         "Minutes are of robot motion alone, without computing; a block stands at its mean over seeds."
     )
     return figure, caption, f"Success rate against attempts and against robot minutes. In the last block: {ends}."
@@ -128,20 +112,20 @@ def protocol(comparison: Comparison) -> Drawn:
     ticks = sorted({point.step for group in groups for run in group.runs for point in run.result.evals})
     for axes, split in zip(grid, reversed(SPLITS), strict=True):
         for i, group in enumerate(groups):
-            _, style = _look(comparison, group)
+            _, style = look(comparison, group)
             evals = [{point.step: point[split].success_rate for point in run.result.evals} for run in group.runs]
             steps = sorted(set.intersection(*map(set, evals)))
             each = [[rates_at[step] for rates_at in evals] for step in steps]
             if steps == [0]:
-                _level(axes, each[0], style, group.name)
+                level(axes, each[0], style, group.name)
                 continue
             shift = (i - (len(groups) - 1) / 2) * most * 0.008  # so that error bars do not hide each other
-            axes.errorbar(np.array(steps) + shift, *_dots(each), label=group.name, capsize=2.5, elinewidth=0.9, **style)
+            axes.errorbar(np.array(steps) + shift, *dots(each), label=group.name, capsize=2.5, elinewidth=0.9, **style)
         axes.set(xlabel="fine-tuning attempts", title=f"{split} objects", ylim=(-0.02, 1.02), xticks=ticks)
     grid[0].set_ylabel("success rate by the protocol")
-    _legend(figure, grid[0])
+    legend(figure, grid[0])
     ends = "; ".join(f"{group.name} {np.mean(rates(group, 'after_unseen')):.2f}" for group in groups)
-    caption = f"Evaluated with frozen weights, mean over seeds. {_bar_words(groups)} Points are shifted a little sideways."
+    caption = f"Evaluated with frozen weights, mean over seeds. {bar_words(groups)} Points are shifted a little sideways."
     return figure, caption, f"Success rate by the protocol against attempts. On unseen objects at the end: {ends}."
 
 
@@ -157,13 +141,13 @@ def transfer_curves(comparison: Comparison) -> Drawn:
     figure, grid = plt.subplots(height, width, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained")
     for axes, task in zip(grid.flat, sources, strict=False):
         for group in (group for group in comparison.groups if group.task in (task, "none")):
-            color, style = _look(comparison, group)
+            color, style = look(comparison, group)
             label = group.name if group.task == "none" else group.name.removeprefix(f"{task}, ")
             if rates(group, "learning"):
                 blocks = _blocks(group)
-                _band(axes, blocks.steps, blocks.rates, color, style, label)
+                band(axes, blocks.steps, blocks.rates, color, style, label)
             else:
-                _level(axes, rates(group, "zero_shot_seen"), style, f"{label} (by the protocol)")
+                level(axes, rates(group, "zero_shot_seen"), style, f"{label} (by the protocol)")
         axes.set(title=task, ylim=(-0.02, 1.02))
         axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     for place, axes in enumerate(grid.flat):
@@ -171,7 +155,7 @@ def transfer_curves(comparison: Comparison) -> Drawn:
         axes.tick_params(labelbottom=place + width >= len(sources))
     figure.supxlabel("fine-tuning attempts", fontsize=9)
     figure.supylabel("success rate while learning", fontsize=9)
-    caption = f"What is transferred, source by source. {_band_words(comparison.groups)}"
+    caption = f"What is transferred, source by source. {band_words(comparison.groups)}"
     return figure, caption, f"Success while learning by what was transferred, a panel for each of {', '.join(sources)}."
 
 
@@ -192,9 +176,9 @@ def _by_source(comparison: Comparison, measures: Sequence[str], when: str) -> Dr
     places = np.arange(len(comparison.groups))[::-1]
     for axes, measure in zip(grid, measures, strict=True):
         for place, group in zip(places, comparison.groups, strict=True):
-            color, style = _look(comparison, group)
+            color, style = look(comparison, group)
             each = rates(group, measure)
-            mean, error = _dots([each])
+            mean, error = dots([each])
             axes.plot(each, np.full(len(each), place + 0.22), "|", color=color, alpha=0.8, markersize=6)
             axes.errorbar(mean, [place], xerr=error, capsize=3, **style | {"linestyle": "none"})
             if measure == "after_unseen" and (published := published_for(comparison, group)) is not None:
@@ -208,7 +192,7 @@ def _by_source(comparison: Comparison, measures: Sequence[str], when: str) -> Dr
     if stars := grid[0].get_legend_handles_labels()[0]:
         figure.legend(stars[:1], ["the paper"], loc="outside lower center")
     told = "; ".join(f"{group.name} {np.mean(rates(group, measures[0])):.2f}" for group in comparison.groups)
-    caption = f"Points are means over seeds, ticks above them the seeds. {_bar_words(comparison.groups)}"
+    caption = f"Points are means over seeds, ticks above them the seeds. {bar_words(comparison.groups)}"
     return figure, caption, f"Success rate {when} by source and transfer. On unseen objects: {told}."
 
 
@@ -282,62 +266,10 @@ def _blocks(group: Group) -> _Blocks:
     return _Blocks(steps, np.array(each), np.array(timed), np.array(clocks))
 
 
-def _band(axes: Axes, x: np.ndarray, each: np.ndarray, color: Any, style: dict[str, Any], label: str | None) -> None:
-    """Mean over seeds (rows of ``each``) with its band, or with the seeds where they are too few for one."""
-    axes.plot(x, each.mean(axis=0), label=label, **style)
-    if len(each) >= ENOUGH:
-        low, high = np.array([mean_interval(column) for column in each.T.tolist()]).T
-        axes.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
-    elif len(each) > 1:
-        axes.plot(x, each.T, color=color, alpha=0.35, linewidth=0.8, linestyle=style["linestyle"])
-
-
-def _level(axes: Axes, each: list[float], style: dict[str, Any], label: str | None = None) -> None:
-    """What is never fine-tuned stays as it is."""
-    axes.axhline(float(np.mean(each)), label=label, **style | {"marker": ""})
-
-
-def _dots(each: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:
-    """Means, and distances (2, n) to the limits of their intervals: 0 where seeds are too few for one."""
-    means = np.array([np.mean(values) for values in each])
-    limits = [(mean_interval(v) if len(v) >= ENOUGH else None) or (m, m) for v, m in zip(each, means, strict=True)]
-    return means, np.abs(np.array(limits).T - means)
-
-
-def _look(comparison: Comparison, group: Group) -> tuple[Any, dict[str, Any]]:
-    """Colour by source, line by transfer, and lighter with other markers for further configurations of the same."""
-    twins = [other for other in comparison.groups if (other.task, other.transfer) == (group.task, group.transfer)]
-    place = twins.index(group)
-    rgb = np.array(to_rgb(COLORS.get(group.task, OTHER_COLOR)))
-    color = tuple(rgb + (1 - rgb) * 0.55 * place / max(1, len(twins) - 1))
-    marker = MARKERS.get(group.transfer, "^") if place == 0 else "vPX*<>"[(place - 1) % 6]
-    style = {"color": color, "linestyle": LINES.get(group.transfer, "-."), "marker": marker, "markersize": 4, "linewidth": 1.6}
-    return color, style
-
-
 def _overview(comparison: Comparison) -> list[Group]:
     """The paper's groups: the baseline and whole models; or all of them where that would leave a source out."""
     shown = [group for group in comparison.groups if group.transfer in ("none", "full")]
     return shown + [group for group in comparison.groups if group.task not in {a.task for a in shown}]
-
-
-def _legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
-
-
-def _band_words(groups: Sequence[Group]) -> str:
-    words = "Band: 95 % t interval over seeds"
-    return f"{words}; below {ENOUGH} seeds thin lines instead, one a seed." if _few(groups) else f"{words}."
-
-
-def _bar_words(groups: Sequence[Group]) -> str:
-    words = "Bars: 95 % t interval over seeds"
-    return f"{words}; none below {ENOUGH} seeds." if _few(groups) else f"{words}."
-
-
-def _few(groups: Sequence[Group]) -> bool:
-    return any(len(group.runs) < ENOUGH for group in groups)
 
 
 def _last(group: Group) -> float:
