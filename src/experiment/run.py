@@ -14,6 +14,7 @@ import torch
 from omegaconf import DictConfig
 
 from see2act.datamodules.collect import Collection
+from see2act.errors import TransferError
 from see2act.experiment import attempts, build, charts, figures, model_file
 from see2act.experiment.context import RunContext
 from see2act.experiment.dashboard import Dashboard
@@ -42,9 +43,12 @@ def run(cfg: DictConfig, folder: Path) -> RunResult:
     context = RunContext(cfg, folder)
     context.dashboard = Dashboard.of(cfg, folder, context.title)
     try:
-        return _stages(context)
-    finally:
-        context.dashboard.close()
+        result = _stages(context)
+    except BaseException:  # Ctrl-C too
+        context.dashboard.close(failed=True)
+        raise
+    context.dashboard.close()
+    return result
 
 
 def _stages(context: RunContext) -> RunResult:
@@ -116,15 +120,24 @@ def _draw_acting(
     charts.learning_curve(rows, out / "learning_curve.png", context.title)
     charts.diagnosis(rows, out / "diagnosis.png", context.title)
     models = {"before fine-tuning": before, "after fine-tuning": module}
-    if vision:
-        seeing = copy.deepcopy(before)
-        copy_parts(vision["network"], seeing.network, cfg.task.parts, cfg.task.optional, cfg.task.zero)
+    if vision and (seeing := _whole(cfg, vision, before)):
         models = {f"vision model: {cfg.task.name}": seeing, **models}
     robot = build.robot_factory(cfg, cfg.primitive)()
     try:
         figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, context.title, out, cfg.evaluate.scenes)
     finally:
         robot.close()
+
+
+def _whole(cfg: DictConfig, vision: VisionCheckpoint, before: AffordanceModule) -> AffordanceModule | None:
+    """The vision model with all of its parts, to be drawn; None if a part that was not transferred does not fit."""
+    whole = copy.deepcopy(before)
+    try:
+        copy_parts(vision["network"], whole.network, cfg.task.parts, cfg.task.optional, cfg.task.zero)
+    except TransferError as error:
+        log.info("figures: heatmaps.png has no column of the vision model: %s", error)
+        return None
+    return whole
 
 
 def _finish(context: RunContext) -> RunResult:

@@ -111,11 +111,17 @@ def _expected() -> dict[str, Tensor]:
         return NanoDet(depth="none").state_dict()
 
 
+BOX = 4 * 11
+"""Rows that upstream's head has beside the classes: a distribution over 11 distances for each side of a box."""
+
+
 def _checked(state: dict[str, Tensor]) -> dict[str, Tensor]:
     """The part of a state that our network needs. Converts the input from BGR to RGB and drops the box predictions."""
     expected = _expected()
     for part in ("weight", "bias"):
         if (name := f"head.logits.{part}") in state:
+            if len(state[name]) not in (CLASSES, CLASSES + BOX):
+                raise TransferError(f"{name} has {len(state[name])} rows: bring NanoDet-g's of COCO's {CLASSES} classes")
             state[name] = state[name][:CLASSES].contiguous()
     ours = {name: state[name] for name in expected if name in state and not name.startswith("normalization.")}
     for name, value in expected.items():

@@ -178,11 +178,18 @@ def timm_body(name: str, channels_in: int, **weights: object) -> tuple[Any, bool
     if not timm.is_model(name):
         near = timm.list_models(f"*{name.split('_')[0]}*")[:5] or ["resnet18", "convnext_atto"]
         raise ValueError(f"model.backbone={name} is unknown to timm {timm.__version__}: choose another, {', '.join(near)}, ...")
-    any_size = {"dynamic_img_size": True} if timm.get_pretrained_cfg(name).fixed_input_size else {}
+    try:
+        given = timm.get_pretrained_cfg(name)
+    except RuntimeError:
+        tags = timm.list_pretrained(f"{name.split('.')[0]}.*")[:4]
+        raise ValueError(
+            f"timm has no weights of model.backbone={name}: choose {' or '.join(tags) or 'another backbone'}"
+        ) from None
+    any_size = {"dynamic_img_size": True} if given.fixed_input_size else {}
     build = partial(timm.create_model, name, features_only=True, in_chans=channels_in, **any_size)
     try:
         with torch.device("meta"):
-            channels_last = _channels_come_last(build(), channels_in)
+            channels_last = _channels_come_last(build().eval(), channels_in)
     except Exception as error:  # hundreds of models may raise anything
         reason = " ".join(str(error).split())[:120]
         raise ValueError(
@@ -207,10 +214,15 @@ def _channels_come_last(body: Any, channels_in: int) -> bool:
     """
     strides, channels = body.feature_info.reduction(), body.feature_info.channels()
     rows, cols = 6 * max(strides), 9 * max(strides)
-    shapes = [tuple(feature.shape) for feature in body(torch.empty(1, channels_in, rows, cols))]
-    expected = [(n, rows // stride, cols // stride) for n, stride in zip(channels, strides, strict=True)]
-    if shapes == [(1, n, h, w) for n, h, w in expected]:
-        return False
-    if shapes == [(1, h, w, n) for n, h, w in expected]:
-        return True
-    raise ValueError(f"they are {shapes[-1]} where (1, {', '.join(map(str, expected[-1]))}) was expected")
+    beyond = int(_overlaps(body))  # Backbone.forward pads these
+    shapes = [tuple(feature.shape) for feature in body(torch.empty(1, channels_in, rows + beyond, cols + beyond))]
+    for last in (False, True):
+        sizes = [shape[1:3] if last else shape[2:] for shape in shapes]
+        planes = [shape[3] if last else shape[1] for shape in shapes]
+        if planes == channels and all(
+            n // stride <= size <= n // stride + beyond
+            for pair, stride in zip(sizes, strides, strict=True)
+            for size, n in zip(pair, (rows, cols), strict=True)
+        ):
+            return last
+    raise ValueError(f"the last one is {shapes[-1]}, with {channels[-1]} channels and a stride of {strides[-1]}")

@@ -46,7 +46,7 @@ class TimmWeights:
         body = self._body(self._source(file), file)
         state = {f"backbone.body.{key}": value for key, value in body.state_dict().items()}
         if self.depth == "early":
-            _add_depth(state, self.backbone)
+            _add_depth(state, self.backbone, body)
         given = library().get_pretrained_cfg(self.backbone)
         return state | {"normalization.mean": torch.tensor(given.mean), "normalization.std": torch.tensor(given.std)}
 
@@ -59,9 +59,9 @@ class TimmWeights:
         return {}
 
     def _body(self, source: dict[str, Any], file: str | None) -> nn.Module:
-        """The backbone with all of its weights from ``source``. timm accepts incomplete files and reports missing keys only in
-        its log, so the log is checked."""
-        with torch.random.fork_rng(devices=[]), _missing() as missing:
+        """The backbone with all of its weights from ``source``. timm accepts files of other networks and reports missing and
+        unexpected keys only in its log, so the log is checked."""
+        with torch.random.fork_rng(devices=[]), _reported() as (missing, unexpected):
             try:
                 body: nn.Module = timm_body(self.backbone, 3, pretrained=True, pretrained_cfg_overlay=source)[0]
             except Exception as error:  # timm passes on whatever its hub client and torch raise
@@ -82,6 +82,13 @@ class TimmWeights:
                 f"{file or self.backbone} has no {missing[0]} ({len(missing)} are missing): bring timm's file of "
                 f"model.backbone={self.backbone}"
             )
+        with torch.device("meta"):
+            known = {*library().create_model(self.backbone).state_dict()}  # with what a backbone leaves out
+        if foreign := [key for key in unexpected if key not in known]:
+            raise TransferError(
+                f"{file or self.backbone} has {foreign[0]} ({len(foreign)} such keys), which {self.backbone} has not: bring "
+                f"timm's file of model.backbone={self.backbone}"
+            )
         return body
 
     @property
@@ -90,15 +97,15 @@ class TimmWeights:
 
 
 @contextmanager
-def _missing() -> Iterator[list[str]]:
-    """Collect the keys that timm reports as missing from a file while it builds a model. BatchNorm counters are ignored,
-    because nothing needs them."""
-    keys: list[str] = []
+def _reported() -> Iterator[tuple[list[str], list[str]]]:
+    """Collect the keys that timm reports as missing from a file, and as unexpected in it, while it builds a model. BatchNorm
+    counters are ignored, because nothing needs them."""
+    keys: dict[str, list[str]] = {"Missing": [], "Unexpected": []}
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            if told := re.match(r"Missing keys \((.*)\)", record.getMessage()):
-                keys.extend(key for key in told[1].split(", ") if not key.endswith("num_batches_tracked"))
+            if told := re.match(r"(Missing|Unexpected) keys \((.*)\)", record.getMessage()):
+                keys[told[1]] += (key for key in told[2].split(", ") if not key.endswith("num_batches_tracked"))
 
     log, listener = logging.getLogger("timm.models._builder"), Listener()
     level, passed_on = log.level, log.propagate
@@ -106,20 +113,30 @@ def _missing() -> Iterator[list[str]]:
     log.setLevel(logging.INFO)
     log.propagate = False  # these messages are of no use in our log
     try:
-        yield keys
+        yield keys["Missing"], keys["Unexpected"]
     finally:
         log.removeHandler(listener)
         log.setLevel(level)
         log.propagate = passed_on
 
 
-def _add_depth(state: dict[str, Tensor], backbone: str) -> None:
-    """Add a fourth input channel of zeros to the layer that sees the image."""
+def _add_depth(state: dict[str, Tensor], backbone: str, body: nn.Module) -> None:
+    """Add a fourth input channel of zeros to the layer that sees the image.
+
+    Raises:
+        TransferError: The layer normalises its weights over all channels, so that the zeros would change what it sees of RGB.
+    """
     with torch.device("meta"):
         expected = TimmFPN(backbone, "early").state_dict()
     for key, value in state.items():
         if value.shape != expected[key].shape:
             state[key] = torch.cat([value, torch.zeros_like(value[:, :1])], dim=1)
+            layer = body.get_submodule(key.removeprefix("backbone.body.").rpartition(".")[0])
+            if "Std" in type(layer).__name__:  # timm's ScaledStdConv2d, StdConv2d and their like
+                raise TransferError(
+                    f"model.backbone={backbone} standardises the weights of its first layer over all channels, so a new "
+                    "one for depth would change what it sees of colours: type model.depth=none, or choose another backbone"
+                )
 
 
 def _lite0_file() -> Path | None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any, Protocol
 
 import torch
 import torchvision
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
@@ -48,7 +47,7 @@ class Torchvision:
         weights: A torchvision model and one of its weights: ``resnet50.IMAGENET1K_V1``.
         mean, std: Statistics of the RGB channels (0..1) that they were trained with.
         epsilon: Epsilon of their BatchNorm.
-        epsilon_of: Epsilon by model, for models with another value.
+        epsilon_of: Epsilon by model, for models with another value. 0 holds for frozen BatchNorm only.
     """
 
     weights: str
@@ -63,6 +62,8 @@ class Torchvision:
         if "normalization.mean" in state:
             return state  # a checkpoint of this project, which is complete
         epsilon = self.epsilon_of.get(self.weights.split(".")[0], self.epsilon)
+        if epsilon == 0 and any(key.endswith("num_batches_tracked") for key in state):
+            epsilon = self.epsilon  # only frozen BatchNorm, which does not count batches, is without one
         for layer in [key.removesuffix("running_mean") for key in state if key.endswith("running_mean")]:
             state.setdefault(f"{layer}num_batches_tracked", torch.tensor(0))
             state[f"{layer}epsilon"] = torch.tensor(epsilon)
@@ -77,15 +78,26 @@ class Torchvision:
                 f"torchvision has no {self.weights}: choose another model.backbone (of task=coco: resnet50 or "
                 "mobilenet_v3_large), or bring weights with task.weights=FILE"
             ) from None
+        name = weights.url.rsplit("/", 1)[1]
+        kept = Path(torch.hub.get_dir()) / "checkpoints" / name
+        if kept.exists():
+            return _verified(kept)
         try:
-            state: Mapping[str, Tensor] = weights.get_state_dict(progress=False, check_hash=True)
+            state: Mapping[str, Tensor] = weights.get_state_dict(progress=False, check_hash=True, weights_only=True)
         except (OSError, RuntimeError) as error:
-            name = weights.url.rsplit("/", 1)[1]
             raise MissingWeights(
                 f"{self.weights} cannot be downloaded here ({error}): bring {name} from another machine and put it into "
-                f"{Path(torch.hub.get_dir()) / 'checkpoints'}, or name it with task.weights=FILE"
+                f"{kept.parent}, or name it with task.weights=FILE"
             ) from None
         return state
+
+
+def _verified(path: Path) -> dict[str, Tensor]:
+    """A file of torchvision, whose name ends in the first digits of its sha256: ``resnet50-0676ba61.pth``."""
+    digits = re.search(r"-([0-9a-f]{8})\.", path.name)
+    if digits and not hashlib.sha256(path.read_bytes()).hexdigest().startswith(digits[1]):
+        raise TransferError(f"{path} is damaged, its sha256 does not begin with {digits[1]}: delete it, or bring it again")
+    return read(path)
 
 
 def read(path: Path) -> dict[str, Tensor]:
@@ -119,8 +131,13 @@ def task_of(path: Path) -> str | None:
 def _content(path: Path) -> Any:
     try:
         return load_file(path) if path.suffix == ".safetensors" else torch.load(path, map_location="cpu", weights_only=True)
-    except (SafetensorError, UnpicklingError, RuntimeError, OSError, LookupError, EOFError, ValueError) as error:
-        reason = " ".join(str(error).split())[:160]
+    except Exception as error:  # a damaged file makes torch.load raise anything
+        if foreign := re.search(r"GLOBAL ([\w.]+)", str(error)):
+            raise TransferError(
+                f"{path} holds a {foreign[1]}, which is not loaded since it could run code: where you trust the file, save its "
+                "state dict alone, with torch.save(torch.load(path, weights_only=False)['state_dict'], new_path)"
+            ) from None
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise TransferError(f"{path} cannot be read ({reason}): bring weights as a .pth or .safetensors file") from None
 
 

@@ -44,7 +44,7 @@ def _print(picture: np.ndarray, shape: Shape, rotation: np.ndarray, color: np.nd
     turn = Rotation.from_quat(rotation).as_matrix()
     triangles = np.concatenate([part.triangles for part in shape.parts]) @ turn.T
     normals = np.concatenate([part.face_normals for part in shape.parts]) @ turn.T
-    for i in np.argsort(triangles[:, :, 2].mean(axis=1)):  # the highest last, so that they cover the lower ones
+    for i in np.argsort(triangles[:, :, 2].mean(axis=1), kind="stable"):  # the highest last, so that they cover the lower ones
         if normals[i, 2] > 0:
             corners = at + triangles[i, :, :2] * (PER_METRE, -PER_METRE)
             shade = AMBIENT + (1 - AMBIENT) * max(0.0, float(normals[i] @ LIGHT))
@@ -103,7 +103,7 @@ MATERIALS: list[Callable[[np.random.Generator, int, int], Picture]] = [_wood, _s
 
 
 def _clouds(rng: np.random.Generator, rows: int, cols: int, size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-    """Smooth noise with a variance of about 1, in blobs of ``size`` (height and width in pixels)."""
+    """Smooth noise with a variance of about 0.7 (1 for single pixels), in blobs of ``size`` (height and width in pixels)."""
     coarse = rng.standard_normal((rows // size[0] + 2, cols // size[1] + 2)).astype(np.float32)
     smooth = cv2.resize(coarse, (coarse.shape[1] * size[1], coarse.shape[0] * size[0]), interpolation=cv2.INTER_CUBIC)
     return smooth[:rows, :cols]

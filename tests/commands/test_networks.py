@@ -20,7 +20,6 @@ COCO = (
     "logger=none",
     "model=rpn_r50_fpn",
     "task=coco",
-    "task.off_the_shelf.rpn_r50_fpn.epsilon=1e-5",
     "finetune.attempts=2",
 )
 RUN = ("task=foreground", "primitive=grasp", "finetune.attempts=6", "finetune.episode_attempts=3")

@@ -235,6 +235,10 @@ def test_a_network_that_cannot_be_is_refused_before_work(override: str) -> None:
         (["experiment=transfer_part"], "options of 'experiment': off_the_shelf off_the_shelf_small"),
         (["task=glob(*)", "finetune.attemps=3"], "there is no configuration key 'finetune.attemps'"),
         (["seed=range(0,"], "range(0,"),
+        (["seed=range(0,0)"], "seed=range(0,0) names no value"),
+        (["seed=interval(0,1)"], "Can only enumerate"),
+        (["finetune.backbone_lr=${nope}"], "Interpolation key 'nope' not found"),
+        (["paths.cache=/dev/null/x"], "/dev/null/x cannot be written"),
     ],
 )
 def test_a_sweep_s_misspelt_keys_and_options_are_refused_in_one_line(overrides: list[str], words: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from see2act.errors import ConfigError, TransferError
 from see2act.experiment import attempts, build
 from see2act.experiment.config import composed
 from see2act.experiment.context import RunContext
+from see2act.experiment.run import _whole
 from see2act.experiment.stages.collect import collected
 from see2act.experiment.stages.evaluate import _Evaluation
 from see2act.experiment.stages.pretrain import held_out_labels, vision_model, vision_path
@@ -40,6 +42,18 @@ def test_a_vision_model_that_diverged_is_not_kept(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"the vision model has diverged .*: lower pretrain\.lr"):
         vision_model(cfg, collected(cfg), partial(build.trainer, cfg, tmp_path, None))
     assert not vision_path(cfg).exists()
+
+
+def test_a_vision_model_that_lacks_what_was_not_transferred_is_not_drawn(config: Callable) -> None:
+    cfg = config("task=foreground", "transfer=backbone", "model.width=4")
+    network = build.network(cfg, 0)
+    before = SimpleNamespace(network=network)
+    state = network.state_dict()
+    drawn = _whole(cfg, {"network": state}, before)  # type: ignore[arg-type]
+    assert drawn is not None
+    assert drawn is not before
+    backbone = {key: value for key, value in state.items() if not key.startswith("head.")}
+    assert _whole(cfg, {"network": backbone}, before) is None  # type: ignore[arg-type]
 
 
 def test_a_task_that_labels_nothing_held_out_is_refused() -> None:

@@ -190,6 +190,11 @@ def test_another_size_of_nanodet_is_refused() -> None:
     state = _upstream(_random().state_dict())
     with pytest.raises(TransferError, match=r"stages\.5\.in_conv\.conv\.weight is \[128, 256, 3, 3\] there"):
         from_upstream(state | {"backbone.stages.5.in_conv.conv.weight": torch.zeros(128, 256, 3, 3)})
+    for rows in (40 + 44, 365 + 44):  # of other numbers of classes, beside the boxes
+        head = {f"head.gfl_cls.0.{key}": torch.zeros(rows, *shape) for key, shape in (("weight", (128, 1, 1)), ("bias", ()))}
+        assert {*head} <= {*state}
+        with pytest.raises(TransferError, match=rf"has {rows} rows: bring NanoDet-g's of COCO's 80 classes"):
+            from_upstream(state | head)
     del state["backbone.stages.5.in_conv.conv.weight"]
     with pytest.raises(TransferError, match=r"have no backbone\.stages\.5\.in_conv\.conv\.weight: bring NanoDet-g's"):
         from_upstream(state)

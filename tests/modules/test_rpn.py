@@ -284,6 +284,46 @@ def test_files_that_cannot_be_trusted_are_refused(tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "pwned").exists()
 
 
+@pytest.mark.parametrize("share", [0.001, 0.5, 0.95, 0.999])
+def test_a_file_that_was_cut_short_is_refused_whatever_its_format(tmp_path: Path, share: float) -> None:
+    for zipped in (False, True):
+        torch.save({"a": torch.zeros(500), "b": torch.ones(3)}, tmp_path / "w.pth", _use_new_zipfile_serialization=zipped)
+        whole = (tmp_path / "w.pth").read_bytes()
+        (tmp_path / "w.pth").write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(TransferError, match=r"w\.pth cannot be read"):
+            read(tmp_path / "w.pth")
+
+
+def test_a_checkpoint_with_an_object_in_it_says_how_to_do_without(tmp_path: Path) -> None:
+    torch.save({"state_dict": {"a": torch.zeros(1)}, "callbacks": {Path: 1}}, tmp_path / "old.ckpt")
+    with pytest.raises(TransferError, match=r"holds a pathlib\.Path.*save its state dict alone") as error:
+        read(tmp_path / "old.ckpt")
+    assert "\x1b" not in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_damaged_file_in_torchvision_s_cache_is_refused_and_runs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("torch.hub.get_dir", lambda: str(tmp_path))
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / "resnet50-0676ba61.pth").write_bytes(pickle.dumps({"a": _Evil()}))
+    with pytest.raises(TransferError, match="is damaged, its sha256 does not begin with 0676ba61"):
+        SHELF["imagenet"].read(None, tmp_path)
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_a_detector_of_one_s_own_keeps_its_epsilon(tmp_path: Path) -> None:
+    """Its BatchNorm was not frozen, unlike that of torchvision's."""
+    shelf = replace(SHELF["coco"], epsilon=1e-5, epsilon_of={"fasterrcnn_resnet50_fpn": 0.0})
+    body = {"conv1.weight": torch.zeros(64, 3, 7, 7), "bn1.running_mean": torch.zeros(64)}
+    frozen = shelf.read(str(_save_pth(body, tmp_path)), tmp_path)
+    own = shelf.read(str(_save_pth(body | {"bn1.num_batches_tracked": torch.tensor(7)}, tmp_path)), tmp_path)
+    assert float(frozen["backbone.body.bn1.epsilon"]) == 0
+    assert float(own["backbone.body.bn1.epsilon"]) == pytest.approx(1e-5)
+
+
 def test_another_architecture_and_another_anchor_count_are_refused(detector: FasterRCNN, tmp_path: Path) -> None:
     small = _with_height(SHELF["imagenet"].read(str(_save_pth(resnet18(weights=None).state_dict(), tmp_path)), tmp_path))
     with pytest.raises(TransferError, match=r"backbone\.body\.layer1\.0\.conv3\.weight is missing.* more"):

@@ -103,6 +103,8 @@ def test_depth_can_be_left_out() -> None:
         (("resnet19",), "model.backbone=resnet19 is unknown to timm"),
         (("test_maxvit",), "gives no feature maps"),
         (("hiera_tiny_224",), "gives no feature maps"),
+        (("dla34",), "gives no feature maps"),  # of the padded input
+        (("resnet18.foo",), "timm has no weights of model.backbone=resnet18.foo"),
         (("resnet18", "late"), "model.depth=late"),
         (("resnet18", "early", 3), "model.scale=3"),
     ],
@@ -157,6 +159,20 @@ def test_a_file_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(TransferError, match="cannot be read"):
         TimmWeights(RESNET, "early").read(str(file), tmp_path)
+
+
+def test_a_file_of_a_deeper_network_is_refused(tmp_path: Path) -> None:
+    """It has all the keys, and more."""
+    _saved("resnet34", tmp_path / "weights.pth")
+    with pytest.raises(TransferError, match=r"has layer1\.2\.conv1\.weight .* which resnet18 has not"):
+        TimmWeights("resnet18", "none").read(str(tmp_path / "weights.pth"), tmp_path)
+
+
+def test_depth_is_refused_where_it_would_change_what_is_seen_of_colours(tmp_path: Path) -> None:
+    _saved("eca_nfnet_l0", tmp_path / "weights.pth")
+    with pytest.raises(TransferError, match=r"standardises the weights .* model\.depth=none"):
+        TimmWeights("eca_nfnet_l0", "early").read(str(tmp_path / "weights.pth"), tmp_path)
+    assert TimmWeights("eca_nfnet_l0", "none").read(str(tmp_path / "weights.pth"), tmp_path)
 
 
 def test_weights_that_cannot_be_had_are_told_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
