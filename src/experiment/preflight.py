@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -28,23 +29,19 @@ def check_command(overrides: list[str]) -> None:
         raise ConfigError(
             f"experiment={experiment} is a sweep: add -m, and primitive=, task=, transfer= and seed= if you want one run of it"
         )
-    plain = composed_as_typed(overrides)
-    _leave_unmeasured(plain)
-    try:
-        validate(plain)
-    except OmegaConfBaseException as error:
-        raise ConfigError(one_line(error)) from None
-    check_run(plain)
-    _check_writable(Path(plain.paths.cache))
     cfg = composed_as_typed(overrides, return_hydra_config=True)
+    checked = copy.deepcopy(cfg)
+    _leave_unmeasured(checked)
     try:
+        validate(checked)
+        check_run(checked)
+        _check_writable(Path(checked.paths.cache))
         OmegaConf.resolve(cfg.hydra.run)  # with the precision in the hash of the configuration
     except OmegaConfBaseException as error:
         raise ConfigError(one_line(error)) from None
     folder = Path(cfg.hydra.run.dir)
     _check_writable(folder)
-    plain.precision = cfg.precision
-    refuse_foreign(folder, plain)
+    refuse_foreign(folder, cfg)
 
 
 def check_sweep(overrides: list[str]) -> None:
