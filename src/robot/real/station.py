@@ -67,7 +67,7 @@ class Rg2Modbus(ToolSection):
     port: int = 502
     unit: int = 65
     """Modbus unit of the tool: 65 at the first connector."""
-    opening: Positive = 0.11
+    opening: Positive = 0.105
     """Metres between the open fingertips."""
     force: Positive = 20.0
     """Newtons, 40 at most."""
@@ -81,10 +81,10 @@ class Rg2DigitalOutput(ToolSection):
     kind: Literal["rg2_io"] = "rg2_io"
     output: Annotated[int, Field(ge=0, le=1)] = 0
     """Number of the tool's digital output."""
-    opening: Positive = 0.11
+    opening: Positive = 0.105
     """Metres between the open fingertips."""
-    volts: tuple[Finite, Finite] = (0.0, 3.7)
-    """Of the tool's analog input 2 with the fingertips closed, and open."""
+    volts: tuple[Finite, Finite] = (0.26, 3.0)
+    """Of the tool's first analog input with the fingertips closed, and open; the defaults are those of OnRobot's script."""
     seconds: Positive = 1.0
     """Until the fingers have come to rest."""
     threshold: Positive = 0.01
