@@ -54,8 +54,8 @@ class AttemptRow(Place):
     """Nats of the distribution that the pick was drawn from."""
     success: bool
     """As the robot senses it."""
-    truth: bool
-    """As the simulator knows it."""
+    truth: bool | None
+    """As the simulator knows it; empty where nobody does."""
     cause: str
     """``ok``, or why it failed."""
     lost: int
@@ -122,12 +122,15 @@ _PARSERS: dict[object, Callable[[str], object]] = {
     int: int,
     float: float,
     bool: lambda text: bool(int(text)),
+    bool | None: lambda text: bool(int(text)) if text else None,
     Phase: str,
     Split: str,
 }
 
 
 def _text(name: str, value: object) -> str:
+    if value is None:
+        return ""
     if isinstance(value, bool):
         return str(int(value))
     return f"{value:.{DECIMALS.get(name, 4)}f}" if _KINDS[name] is float else str(value)

@@ -45,7 +45,7 @@ class Judged(Protocol):
     @property
     def success(self) -> bool: ...
     @property
-    def truth(self) -> bool: ...
+    def truth(self) -> bool | None: ...
     @property
     def lost(self) -> int: ...
 
@@ -82,7 +82,7 @@ def evaluate(
     counts: dict[str, SplitCounts] = {}
     with tqdm(total=most, desc=title, disable=None) as bar:
         for split in SPLITS:
-            runs, truths = [], 0
+            runs, truths = [], list[bool | None]()
             for run in range(protocol.runs):
                 test = EvaluationRun(split, run, scene_seed(split, run, protocol.scenes))
                 judged = list(known.get((split, run), ()))
@@ -92,9 +92,10 @@ def evaluate(
                         record(done, test)
                         judged.append(done.outcome)
                         bar.update()
-                truths += sum(each.truth for each in judged)
+                truths += [each.truth for each in judged]
                 runs.append(_counted(test.scene_seed, judged))
-            counts[split] = SplitCounts.of(runs, truths)
+            known_truths = [truth for truth in truths if truth is not None]
+            counts[split] = SplitCounts.of(runs, sum(known_truths) if len(known_truths) == len(truths) else None)
     return Evaluation(seen=counts["seen"], unseen=counts["unseen"])
 
 

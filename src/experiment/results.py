@@ -77,12 +77,12 @@ class SplitCounts(Counts):
     """All test runs with seen, or with unseen objects."""
 
     rate: float
-    truth_successes: Count
-    """Successes by the simulator's truth; ``successes`` are as the robot senses them."""
+    truth_successes: Count | None
+    """Successes by the simulator's truth; ``successes`` are as the robot senses them. None where nobody knows."""
     runs: tuple[RunCounts, ...]
 
     @classmethod
-    def of(cls, runs: Sequence[RunCounts], truth_successes: int) -> SplitCounts:
+    def of(cls, runs: Sequence[RunCounts], truth_successes: int | None) -> SplitCounts:
         """The sum of test runs."""
         successes, attempts = (sum(getattr(run, key) for run in runs) for key in ("successes", "attempts"))
         return cls(

@@ -14,7 +14,10 @@ from see2act.errors import UserError
 Split = Literal["seen", "unseen"]
 NotNegative = Annotated[float, Ge(0)]
 """A length, time, force or similar quantity in the configuration."""
-Cause = Literal["ok", "missed", "collision", "slipped", "no_seal", "wall", "unreachable"]
+Cause = Literal["ok", "missed", "collision", "slipped", "no_seal", "wall", "unreachable", "protective_stop", "dry_run"]
+"""Why an attempt failed, or ``ok``. The last two are of a real robot only."""
+ABORTED: tuple[Cause, ...] = ("protective_stop", "dry_run")
+"""Causes of attempts that were not carried through and say nothing of the pick."""
 
 
 class RobotError(UserError, ValueError):
@@ -72,8 +75,8 @@ class Outcome:
 
     success: bool
     """Success as the robot senses it: by pressure (suction) or by finger opening (grasp)."""
-    truth: bool
-    """Whether an object is really held after the lift, judged only by poses and contacts."""
+    truth: bool | None
+    """Whether an object is really held after the lift, judged only by poses and contacts; None where nobody can know."""
     cause: Cause
     reading: float
     """The sensor reading that decided ``success``: pressure difference in kPa, or opening in metres."""
@@ -83,3 +86,8 @@ class Outcome:
     """Number of simulation steps."""
     lost: int = 0
     """Number of objects that left the bin without being picked."""
+
+    @property
+    def aborted(self) -> bool:
+        """Whether it was not carried through. Nothing is learned from it."""
+        return self.cause in ABORTED

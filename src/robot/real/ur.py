@@ -172,12 +172,12 @@ class UrArm:
     @property
     def joints(self) -> Joints:
         """Actual joint angles, radians."""
-        return tuple(self._receive.getActualQ())  # type: ignore[return-value]
+        return tuple(self._receive.getActualQ())
 
     @property
     def tip(self) -> Float[np.ndarray, "4 4"]:
         """Actual pose."""
-        return matrix(tuple(self._receive.getActualTCPPose()))  # type: ignore[arg-type]
+        return matrix(tuple(self._receive.getActualTCPPose()))
 
     @property
     def force(self) -> Float[np.ndarray, "3"]:
@@ -245,15 +245,15 @@ class UrArm:
             self._refuse_another_place(target)
         return stopped_by
 
-    def joints_at(self, target: Float[np.ndarray, "4 4"]) -> Joints:
-        """The joints, nearest to the present ones, with the tip at a pose.
+    def joints_at(self, target: Float[np.ndarray, "4 4"], near: Joints) -> Joints:
+        """The joints, nearest to given ones, with the tip at a pose.
 
         Raises:
             ArmError: There are none.
         """
         if not self._ask("isPoseWithinSafetyLimits", list(pose(target))):
             raise ArmError(f"the arm cannot reach {_place(target)} m, or its safety limits forbid it: move the bin")
-        return tuple(self._call(self._control.getInverseKinematics, list(pose(target))))  # type: ignore[return-value]
+        return tuple(self._call(self._control.getInverseKinematics, list(pose(target)), list(near)))
 
     def stop(self) -> None:
         """Stop at once."""

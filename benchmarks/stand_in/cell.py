@@ -1,0 +1,242 @@
+"""A whole station without hardware: the simulated scene behind a stand-in for the controller, and a camera that writes files.
+
+`python -m benchmarks.stand_in FOLDER primitive=suction` keeps one up, for trying the commands of a real robot by hand.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.stand_in.controller import Controller
+from see2act.experiment.build import robot_factory
+from see2act.experiment.config import composed
+from see2act.robot.arm import JOINTS
+from see2act.robot.end_effector import EndEffector
+from see2act.robot.real import station as stations
+from see2act.robot.real.image_folder import Description, describe, write_pair
+from see2act.robot.real.robot import CENTRE
+from see2act.robot.real.station import CalibrationSection, RobotSection, Station, TouchSection, VacuumOutput
+from see2act.robot.simulated import SimulatedRobot
+from see2act.robot.simulation import TIMESTEP
+from see2act.robot.suction import SuctionCup
+from see2act.robot.types import Split
+
+SERIAL = "stand-in"
+FASTEST = 10.0
+"""Times that the simulation runs faster than real time, at most."""
+SHOT_EVERY = 0.15
+"""Seconds of real time between images while the arm is at rest."""
+KEPT = 20
+"""Images in the folder."""
+SEAL_EVERY = 12
+"""Timesteps between a resting cup's trials to seal: 50 ms."""
+VOLTS = (1.0, 5.0)
+"""Of the pressure sensor at ambient pressure, and at 100 kPa below it."""
+DROP = (1.2, -1.3, 1.4, -1.67, -1.57, 0.0)
+"""Joints beside the bin, radians."""
+
+
+class StandInCell:
+    """A station in a process of its own.
+
+    Args:
+        host: Address of its controller, 127.0.0.N.
+        folder: Where ``station.yaml``, the image of the empty bin and the camera's images go.
+        overrides: Configuration of the simulated robot, as for train.py.
+    """
+
+    def __init__(self, host: str, folder: Path, overrides: Sequence[str] = ()):
+        context = get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(host, folder, list(overrides), theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._pipe.recv()
+
+    def fill(self, scene_seed: int, split: Split) -> None:
+        """What a person does when asked for a scene."""
+        self._ask("fill", scene_seed, split)
+
+    def protective_stop(self) -> None:
+        """Stop the arm, as a collision would."""
+        self._ask("protective_stop")
+
+    def unlock(self) -> None:
+        """What a person does at the pendant afterwards."""
+        self._ask("unlock")
+
+    def moves(self) -> int:
+        """Motions commanded so far."""
+        count: int = self._ask("moves")
+        return count
+
+    def moving(self) -> bool:
+        """Whether a motion is under way."""
+        return bool(self._ask("moving"))
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.join()
+        self._pipe.close()
+
+    def _ask(self, what: str, *arguments: object) -> Any:
+        self._pipe.send((what, arguments))
+        return self._pipe.recv()
+
+
+class _Cell:
+    """What runs in that process: joints that the controller commands, and a tool that its outputs switch."""
+
+    def __init__(self, host: str, folder: Path, overrides: list[str]):
+        cfg = composed(["task=none", "transfer=none", *overrides, "robot.motion=full"])
+        robot: SimulatedRobot = robot_factory(cfg, cfg.primitive)()
+        self.robot, self.tool, self._folder = robot, robot.tool, folder
+        robot.background()  # builds the empty bin and the arm
+        self.controller = Controller(host)
+        self.controller.state.q = np.array(self._joints())
+        self._on = self._sealed = False
+        self._steps, self._shots, self._next_shot = 0, 0, 0.0
+        self._write_station(host)
+        robot._noise = np.random.default_rng(0)
+
+    def answer(self, what: str, arguments: tuple) -> Any:
+        if what == "fill":
+            self.robot.reset(*arguments)
+            self._on = self._sealed = False
+            self.controller.state.q = np.array(self._joints())
+            return None
+        if what == "unlock":
+            self.controller.state.safety_mode = 1
+            return None
+        if what == "moves":
+            return sum(entry in ("command 1", "command 3") for entry in self.controller.log)
+        found = getattr(self.controller, what)
+        return found() if callable(found) else found
+
+    def step(self) -> None:
+        """One timestep of everything."""
+        robot, state = self.robot, self.controller.state
+        self.controller.step(TIMESTEP)
+        robot.arm._command(state.q, np.zeros(6))
+        robot.simulation.step()
+        self._steps += 1
+        self._switch(bool(state.outputs & 1))
+        if self._on and not self._sealed and not self.controller.moving and self._steps % SEAL_EVERY == 0:
+            self.tool.engage()
+            self._sealed = self.tool.engaged()
+        self.tool.update_hold()
+        self._sense()
+        now = time.monotonic()
+        if not self.controller.moving and now >= self._next_shot:
+            self._shoot()
+            self._next_shot = now + SHOT_EVERY
+
+    def _switch(self, on: bool) -> None:
+        if on == self._on:
+            return
+        self._on, self._sealed = on, False
+        if on:
+            self.tool.prepare()
+        else:
+            self.tool.release()
+            self.robot.scene.settle()
+            self.robot.scene.clear_lost()
+
+    def _sense(self) -> None:
+        state, tool = self.controller.state, self.tool
+        kilopascals = tool.pressure if self._on and isinstance(tool, SuctionCup) else 0.0
+        state.analog[0] = VOLTS[0] + (VOLTS[1] - VOLTS[0]) * kilopascals / 100
+        points = self.robot.simulation.client.getContactPoints(bodyA=self.robot.arm.body)
+        state.force = [0.0, 0.0, float(sum(point[9] for point in points)), 0.0, 0.0, 0.0]
+
+    def _shoot(self) -> None:
+        """An image with the sensor's noise, without the arm in it: at home it is out of view."""
+        observation = self.robot.observe()
+        write_pair(self._folder / "camera", f"{self._shots:06}", observation.color, observation.depth, 1e-4)
+        self._shots += 1
+        for old in (self._folder / "camera").glob(f"{self._shots - KEPT:06}.*"):
+            old.unlink()
+
+    def _joints(self) -> stations.Joints:
+        arm = self.robot.arm
+        states = self.robot.simulation.client.getJointStates(arm.body, [arm.joint_index[name] for name in JOINTS])
+        return tuple(float(state[0]) for state in states)  # type: ignore[return-value]
+
+    def _write_station(self, host: str) -> None:
+        robot, camera = self.robot, self.robot.camera
+        rows, cols = camera.shape
+        intrinsics = camera.intrinsics - CENTRE
+        describe(
+            self._folder / "camera",
+            Description(
+                serial=SERIAL,
+                width=cols,
+                height=rows,
+                fx=camera.focal,
+                fy=camera.focal,
+                cx=intrinsics[0, 2],
+                cy=intrinsics[1, 2],
+                depth_scale=1e-4,
+            ),
+        )
+        color, depth, _ = robot._look()
+        np.savez_compressed(self._folder / "background.npz", color=color, depth=depth, intrinsics=intrinsics)
+        world = np.diag([-1.0, -1.0, 1.0, 1.0])  # the controller's base is turned by half a turn against the simulated world
+        world[:3, 3] = np.array([1, 1, -1]) * robot._config.base
+        x, y = robot.workspace.width / 2, robot.workspace.length / 2
+        corners: list[stations.Point] = [tuple(world @ [*corner, 0, 1])[:3] for corner in ((-x, y), (-x, -y), (x, y))]
+        calibration = CalibrationSection(
+            serial=SERIAL,
+            size=(cols, rows),
+            camera=tuple(tuple(row) for row in (world @ camera.pose).tolist()),
+            error=0.0,
+            views=25,
+            date="2026-01-01",
+        )
+        stations.save(
+            Station(
+                robot=RobotSection(host=host, home=self._joints(), drop=DROP),
+                tool=_tool(self.tool),
+                bin=(corners[0], corners[1], corners[2]),
+                calibration=calibration,
+                touch=TouchSection(offset=0.0, serial=SERIAL, date="2026-01-01"),
+                background="background.npz",
+            ),
+            self._folder / "station.yaml",
+        )
+
+
+def _tool(tool: EndEffector) -> VacuumOutput:
+    assert isinstance(tool, SuctionCup), "a gripper has no stand-in at the controller's outputs yet"
+    return VacuumOutput(
+        tip=tool.length(), mass=0.5, depth=tool.press, floor_gap=0.0005, analog=0, volts=VOLTS, seconds=0.25, threshold=20.0
+    )
+
+
+def _serve(host: str, folder: Path, overrides: list[str], pipe: Connection) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    cell = _Cell(host, folder, overrides)
+    pipe.send("ready")
+    last, behind = time.monotonic(), 0.0
+    while True:
+        now = time.monotonic()
+        behind = min(behind + FASTEST * (now - last), 0.1)  # simulated time that is due
+        last = now
+        while behind > 0:
+            cell.step()
+            behind -= TIMESTEP
+        while pipe.poll():
+            try:
+                what, arguments = pipe.recv()
+            except EOFError:
+                return
+            pipe.send(cell.answer(what, arguments))
+        time.sleep(0.002)
