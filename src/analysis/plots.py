@@ -285,7 +285,7 @@ def _failures(group: Group, stage: str) -> dict[str, float]:
         row
         for run in group.runs
         for row in run.attempts
-        if (row.phase == "finetune" if step is None else row.phase != "finetune" and row.step == step)
+        if (row.phase == "finetune" if step is None else row.phase in ("zero_shot", "eval") and row.step == step)
         and (step is None or row.policy == policy)
     ]
     failed = Counter(row.cause for row in rows if not row.success)

@@ -89,7 +89,9 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
             models["fine-tuned"] = tuned.eval()
     robot = build.robot_factory(cfg, cfg.primitive)()
     try:
-        figures.heatmaps(robot, models, build.policy(cfg), scenes, cfg.primitive.name, out, cfg.evaluate.scenes)
+        chooser = list(models.values())[-1]
+        made = figures.first_attempts(robot, chooser.affordances, build.policy(cfg), scenes, cfg.evaluate.scenes)
+        figures.heatmaps(made, models, robot, cfg.primitive.name, out)
     finally:
         robot.close()
     return missing

@@ -9,6 +9,7 @@ from typing import Any
 import lightning as L
 
 from see2act.attempt import Affordances, Attempt, decide
+from see2act.datamodules.records import Records, training
 from see2act.datamodules.replay import Replay
 from see2act.modules.affordance import AttemptBatch
 from see2act.policy import Choice, Policy
@@ -41,6 +42,8 @@ class _Bin:
     """Of the present episode so far."""
     over: bool = True
     """Whether the next attempt starts with a new scene."""
+    doubtful: bool = False
+    """Whether an interrupted run left the scene, and a person has not yet said that it is as it was."""
 
 
 class InteractiveDataModule(L.LightningDataModule):
@@ -60,6 +63,7 @@ class InteractiveDataModule(L.LightningDataModule):
         temperature: Of the softmax over scores that picks are drawn from; 0 takes the best.
         episode_attempts: Attempts after which a bin that is not yet empty is given up.
         scenes: ``evaluate`` for the benchmark's scenes, ``develop`` for others, to choose settings by.
+        records: Where attempts are kept that cannot be made again; None if they can.
     """
 
     def __init__(
@@ -75,6 +79,7 @@ class InteractiveDataModule(L.LightningDataModule):
         temperature: float,
         episode_attempts: int,
         scenes: str = "evaluate",
+        records: Records | None = None,
     ):
         super().__init__()
         self._robots, self._workspace, self.policy, self.replay = robots, workspace, policy, replay
@@ -84,16 +89,25 @@ class InteractiveDataModule(L.LightningDataModule):
         self._explore = generator("explore", seed)
         self._bins = [_Bin(policy.fresh()) for _ in range(len(robots))]
         self._next_episode = 0
+        self._records = records
+        self._recorded: Attempt | None = None
+        """The attempt that comes next, where an interrupted run made it and did not learn from it."""
         self.attempts = 0
         """Attempts so far."""
 
     @property
-    def an_episode_is_over(self) -> bool:
-        """Whether a robot starts its next attempt with a new scene. Then a checkpoint needs the fewest picks repeated."""
-        return any(bin.over for bin in self._bins)
+    def is_worth_a_checkpoint(self) -> bool:
+        """Whether a robot starts its next attempt with a new scene, so that the fewest picks would have to be repeated; after
+        each attempt if none can be repeated."""
+        return self._records is not None or any(bin.over for bin in self._bins)
 
     def start_episodes(self) -> None:
         """New scenes where an episode is over."""
+        self._recorded = self._records.load(training(self.attempts + 1)) if self._records else None
+        for bin in self._bins:
+            if bin.doubtful and not self._recorded:
+                as_it_was = self._robots.call("resume", {0: (self.scene_seed(bin.episode), len(bin.decisions))})[0]
+                bin.doubtful, bin.over = False, not as_it_was
         scenes: dict[int, tuple] = {}
         for i, bin in enumerate(self._bins):
             if bin.over:
@@ -101,14 +115,19 @@ class InteractiveDataModule(L.LightningDataModule):
                 bin.policy.forget()
                 self._next_episode += 1
                 scenes[i] = (self.scene_seed(bin.episode), "seen")
-        self._robots.call("reset", scenes)
+        if not self._recorded:
+            self._robots.call("reset", scenes)
 
     def observe(self) -> list[Observation]:
         """What each robot sees."""
+        if self._recorded:
+            return [self._recorded.observation]
         return list(self._robots.call("observe", self._everyone()).values())
 
     def decide(self, observations: list[Observation], affordances: Affordances) -> list[Decision]:
         """Where each robot picks next, by the model's affordances and the policy."""
+        if self._recorded:
+            return [(self._recorded.choice, self._recorded.pick)]
         return [
             decide(observation, self._workspace, affordances, bin.policy, self._temperature, self._explore)
             for bin, observation in zip(self._bins, observations, strict=True)
@@ -116,6 +135,8 @@ class InteractiveDataModule(L.LightningDataModule):
 
     def act(self, decisions: list[Decision]) -> list[Outcome]:
         """Execute the picks, all robots at once."""
+        if self._recorded:
+            return [self._recorded.outcome]
         return list(self._robots.call("execute", {i: (pick,) for i, (_, pick) in enumerate(decisions)}).values())
 
     def remember(
@@ -123,24 +144,38 @@ class InteractiveDataModule(L.LightningDataModule):
     ) -> list[TrainingAttempt]:
         """Add the attempts to the replay, and end the episodes of bins that are empty or given up.
 
+        An aborted attempt is neither added nor counted. The policy takes it for a failure, and so chooses another pick.
+
         Args:
             observations, decisions, outcomes: By robot.
             seconds: Wall time that observing, deciding and acting took, all robots together.
         """
+        attempts = [
+            Attempt(observation, choice, pick, outcome, *(s / len(self._bins) for s in seconds))
+            for observation, (choice, pick), outcome in zip(observations, decisions, outcomes, strict=True)
+        ]
+        self._keep(attempts)
         empty = self._robots.call("bin_empty", self._everyone())
         made = []
-        for i, (bin, observation, (choice, pick), outcome) in enumerate(
-            zip(self._bins, observations, decisions, outcomes, strict=True)
-        ):
-            heightmap = observation.heightmap
+        for i, (bin, attempt) in enumerate(zip(self._bins, attempts, strict=True)):
+            choice, heightmap, outcome = attempt.choice, attempt.heightmap, attempt.outcome
             bin.policy.remember(choice, heightmap, outcome.success)
-            bin.decisions.append((choice, pick))
-            bin.over = empty[i] or len(bin.decisions) >= self._episode_attempts
-            self.replay.add(heightmap.color, heightmap.height, choice.angle, choice.row, choice.col, outcome.success)
-            self.attempts += 1
-            attempt = Attempt(observation, choice, pick, outcome, *(s / len(self._bins) for s in seconds))
+            if not outcome.aborted:
+                bin.decisions.append((choice, attempt.pick))
+                bin.over = empty[i] or len(bin.decisions) >= self._episode_attempts
+                self.replay.add(heightmap.color, heightmap.height, choice.angle, choice.row, choice.col, outcome.success)
+                self.attempts += 1
             made.append(TrainingAttempt(attempt, self.attempts, bin.episode, self.scene_seed(bin.episode)))
         return made
+
+    def _keep(self, attempts: list[Attempt]) -> None:
+        """Of a robot whose attempts cannot be made again, write the one that it has just made."""
+        if self._records and not self._recorded:
+            (attempt,) = attempts
+            if attempt.outcome.aborted:
+                self._records.save_aborted(self.attempts + 1, attempt)
+            else:
+                self._records.save(training(self.attempts + 1), attempt)
 
     def train_dataloader(self) -> _ReplayBatches:
         return _ReplayBatches(self.replay, self._updates * len(self._bins), self._batch_size)
@@ -174,7 +209,19 @@ class InteractiveDataModule(L.LightningDataModule):
         for bin, kept in zip(self._bins, state["bins"], strict=True):
             bin.episode, bin.over = kept["episode"], kept["over"]
             bin.decisions = [(Choice(**choice), Pick(**pick)) for choice, pick in kept["decisions"]]
-        self._repeat_episodes()
+        if self._records:
+            self._recall_episode()
+        else:
+            self._repeat_episodes()
+
+    def _recall_episode(self) -> None:
+        """Bring the policy's memory to where it was within the episode, from the records."""
+        (bin,) = self._bins
+        bin.doubtful = not bin.over
+        for k, (choice, _) in enumerate(bin.decisions):
+            record = self._records.load(training(self.attempts - len(bin.decisions) + 1 + k)) if self._records else None
+            if record:
+                bin.policy.remember(choice, record.heightmap, record.outcome.success)
 
     def _repeat_episodes(self) -> None:
         """Bring each robot to where it was within its episode, by the same picks in the same scene."""

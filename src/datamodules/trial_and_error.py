@@ -27,7 +27,7 @@ class TrialAndError(L.Callback):
         data: The trainer's datamodule.
         attempts: How many there will be.
         record: Called with each attempt and the seconds of learning it took.
-        checkpoint: Written whenever an episode ends.
+        checkpoint: Written whenever the data module says so.
         evaluate_at: Attempts after which ``evaluate`` is called with the number of attempts.
         evaluate: Measures the present model; must not touch the datamodule's robots or generators.
     """
@@ -46,15 +46,20 @@ class TrialAndError(L.Callback):
 
     def on_train_epoch_start(self, trainer: L.Trainer, module: AffordanceModule) -> None:  # type: ignore[override]
         """Observe, decide, act, remember. The learning steps of the epoch follow."""
-        data, clock = self._data, [time.perf_counter()]
-        data.start_episodes()
-        observations = data.observe()
-        clock.append(time.perf_counter())
-        decisions = data.decide(observations, module.affordances)
-        clock.append(time.perf_counter())
-        outcomes = data.act(decisions)
-        clock.append(time.perf_counter())
-        self._made = data.remember(observations, decisions, outcomes, [after - before for before, after in pairwise(clock)])
+        self._made: list[TrainingAttempt] = []
+        while not self._made:  # an aborted attempt teaches nothing, and another one takes its place
+            data, clock = self._data, [time.perf_counter()]
+            data.start_episodes()
+            observations = data.observe()
+            clock.append(time.perf_counter())
+            decisions = data.decide(observations, module.affordances)
+            clock.append(time.perf_counter())
+            outcomes = data.act(decisions)
+            clock.append(time.perf_counter())
+            made = data.remember(observations, decisions, outcomes, [after - before for before, after in pairwise(clock)])
+            self._made = [each for each in made if not each.attempt.outcome.aborted]
+            for aborted in (each for each in made if each.attempt.outcome.aborted):
+                self._record(aborted, 0.0)
         self._learning_since = time.perf_counter()
 
     def on_train_batch_end(  # type: ignore[override]
@@ -73,7 +78,7 @@ class TrialAndError(L.Callback):
         self._log(module)
         if data.attempts in self._evaluate_at:
             self._evaluate(data.attempts)
-        if data.an_episode_is_over and data.attempts < self._attempts:
+        if data.is_worth_a_checkpoint and data.attempts < self._attempts:
             with replacing(self._checkpoint) as partial:  # a kill while writing must not cost the run
                 trainer.save_checkpoint(partial)
 

@@ -15,7 +15,8 @@ from see2act.robot.types import Split
 if TYPE_CHECKING:
     from see2act.attempt import Attempt  # brings the whole robot, which readers of the file do not need
 
-Phase = Literal["zero_shot", "finetune", "eval"]
+Phase = Literal["zero_shot", "finetune", "eval", "aborted"]
+"""``aborted``: a training attempt of a real robot that was not carried through; nothing counts it."""
 
 
 @dataclass(frozen=True)

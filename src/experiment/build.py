@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.utils import instantiate
+from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from see2act.datamodules.labels import Task
@@ -32,6 +32,14 @@ def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any,
         end_effector=instantiate(end_effector),
     )
     return built
+
+
+def attended(cfg: DictConfig) -> bool:
+    """Whether a person fills the bin of the configured robot; see :class:`see2act.robot.robot.Robot`."""
+    try:
+        return bool(getattr(get_object(str(cfg.robot.get("_target_"))), "attended", False))
+    except (ImportError, ValueError):
+        return False  # it cannot be built, and is refused for that
 
 
 def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRobot]:

@@ -33,7 +33,7 @@ def learning_curve(rows: Sequence[AttemptRow], path: Path, title: str) -> None:
         low, high = np.array([wilson(point.successes, point.attempts) for point in points]).T
         axes.fill_between(x, low, high, alpha=0.2, color="C0", linewidth=0)
         axes.plot(x, y, "o-", color="C0", label=f"while learning, blocks of {BLOCK}")
-    tested = [row for row in rows if row.phase != "finetune"]
+    tested = [row for row in rows if row.phase in ("zero_shot", "eval")]
     rule = tested[0].policy
     for color, split in zip(("C2", "C3"), SPLITS, strict=True):
         by_step: dict[int, list[int]] = {}

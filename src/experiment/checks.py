@@ -84,7 +84,11 @@ def _check_names(cfg: DictConfig) -> None:
 
 def _check_robots(cfg: DictConfig) -> None:
     """Robots side by side all try before anything else happens."""
+    from see2act.experiment.build import attended
+
     robots, attempts = cfg.finetune.robots, cfg.finetune.attempts
+    if attended(cfg):
+        _check_real(cfg)
     steps = [step for step in cfg.evaluate.at if step <= attempts]
     if attempts % robots or any(step % robots for step in steps):
         at = sorted({-(-step // robots) * robots for step in steps})
@@ -93,6 +97,19 @@ def _check_robots(cfg: DictConfig) -> None:
             f"evaluate.at={list(cfg.evaluate.at)} must be multiples of it: "
             f"finetune.attempts={-(-attempts // robots) * robots} 'evaluate.at={at}'"
         )
+
+
+def _check_real(cfg: DictConfig) -> None:
+    """What a robot that is not simulated cannot do."""
+    for key, value, fix in (
+        ("finetune.robots", 1, "one robot has one bin"),
+        ("collect.workers", 1, "one robot has one bin"),
+        ("labels", "vision", "nobody knows the truth about a real bin"),
+        ("collect.primitive.name", cfg.primitive.name, "the arm has one tool"),
+    ):
+        if OmegaConf.select(cfg, key) != value:
+            option = f"primitive@collect.primitive={value}" if key == "collect.primitive.name" else f"{key}={value}"
+            raise ConfigError(f"robot=ur5_real needs {option}: {fix}")
 
 
 def _check_model(cfg: DictConfig) -> None:

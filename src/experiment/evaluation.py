@@ -75,7 +75,8 @@ def evaluate(
         protocol: How many test runs and attempts.
         record: Called with each attempt.
         title: Of the progress bar.
-        known: By split and run, attempts of test runs that are not made again.
+        known: By split and run, attempts of test runs that are not made again. Of an attended robot the last test run may be
+            unfinished: it goes on.
     """
     known = known or {}
     most = protocol.runs * sum(protocol.attempts[split] for split in SPLITS)
@@ -85,10 +86,12 @@ def evaluate(
             runs, truths = [], list[bool | None]()
             for run in range(protocol.runs):
                 test = EvaluationRun(split, run, scene_seed(split, run, protocol.scenes))
-                judged = list(known.get((split, run), ()))
-                if not judged:
+                judged: list[Judged] = list(known.get((split, run), ()))
+                if not judged or (robot.attended and (split, run) == list(known)[-1]):
                     most_attempts = protocol.attempts[split]
-                    for done in one_test_run(robot, affordances, policy.fresh(), test.scene_seed, split, most_attempts):
+                    for done in one_test_run(
+                        robot, affordances, policy.fresh(), test.scene_seed, split, most_attempts, len(judged)
+                    ):
                         record(done, test)
                         judged.append(done.outcome)
                         bar.update()
@@ -105,11 +108,15 @@ def _counted(seed: int, judged: Sequence[Judged]) -> RunCounts:
 
 
 def one_test_run(
-    robot: Robot, affordances: Affordances, policy: Policy, seed: int, split: Split, attempts: int
+    robot: Robot, affordances: Affordances, policy: Policy, seed: int, split: Split, attempts: int, made: int = 0
 ) -> Iterator[Attempt]:
-    """One test run on the scene of ``seed``: attempts until the bin is truly empty or ``attempts`` are spent."""
-    robot.reset(seed, split)
-    for _ in range(attempts):
+    """One test run on the scene of ``seed``: attempts until the bin is truly empty or ``attempts`` are spent.
+
+    With ``made`` attempts of an interrupted run it goes on in that scene, or, if the bin was changed meanwhile, in a new one.
+    """
+    if not (made and robot.resume(seed, made)):
+        robot.reset(seed, split)
+    for _ in range(attempts - made):
         if robot.bin_empty():
             return
         yield attempt(robot, affordances, policy)

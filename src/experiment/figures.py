@@ -24,7 +24,7 @@ from see2act.experiment.evaluation import scene_seed
 from see2act.experiment.results import SPLITS
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
-from see2act.robot.types import Cause, Heightmap, Pick
+from see2act.robot.types import Cause, Heightmap, Pick, Split
 
 if TYPE_CHECKING:
     from see2act.modules.affordance import AffordanceModule
@@ -135,43 +135,54 @@ def vision(
     save(figure, path)
 
 
+def first_attempts(
+    robot: Robot, affordances: Affordances, policy: Policy, scenes: int, kind: str = "evaluate"
+) -> list[tuple[Split, Attempt]]:
+    """One attempt in each of some test scenes.
+
+    Args:
+        robot: Reset to each scene.
+        affordances: Of the model that chooses the picks.
+        policy: Turns affordances into a pick.
+        scenes: Of each split.
+        kind: Whose scenes they are, those of ``evaluate`` or of ``develop``.
+    """
+    made: list[tuple[Split, Attempt]] = []
+    for split in SPLITS:
+        for run in range(scenes):
+            robot.reset(scene_seed(split, run, kind), split)
+            made.append((split, attempt(robot, affordances, policy.fresh())))
+    return made
+
+
 def heatmaps(
-    robot: Robot,
-    models: dict[str, AffordanceModule],
-    policy: Policy,
-    scenes: int,
-    title: str,
-    folder: Path,
-    kind: str = "evaluate",
+    made: Sequence[tuple[Split, Attempt]], models: dict[str, AffordanceModule], robot: Robot, title: str, folder: Path
 ) -> None:
-    """Test scenes through several models, and the last model's pick carried out.
+    """Test scenes through several models, and a pick in each.
 
     Writes ``heatmaps.png`` and ``picks.png``.
 
     Args:
-        robot: Reset to each scene.
-        models: By the caption to show; the last one chooses the picks. Heatmaps are maxima over angles.
-        policy: Turns affordances into a pick.
-        scenes: Of each split.
+        made: At least one attempt, with the split of its scene.
+        models: By the caption to show. Heatmaps are maxima over angles.
+        robot: For its jaws and workspace.
         title: Over the figures.
         folder: Where to.
-        kind: Whose scenes they are, those of ``evaluate`` or of ``develop``.
     """
-    columns, rows = 1 + len(models), scenes * len(SPLITS)
+    columns, rows = 1 + len(models), len(made)
     size = (COLUMN * columns, _row(robot.workspace.shape) * rows + 0.3)
     maps, grid = plt.subplots(rows, columns, figsize=size, squeeze=False)
     picks, views = plt.subplots(2, 2, figsize=(11, 7))
-    chooser = list(models.values())[-1]
-    for row, (split, run) in enumerate((s, r) for s in SPLITS for r in range(scenes)):
-        robot.reset(scene_seed(split, run, kind), split)
-        result = attempt(robot, chooser.affordances, policy.fresh())
+    drawn = set()
+    for row, (split, result) in enumerate(made):
         heightmap = result.heightmap
         caption = f"{split} objects, pick: {result.outcome.cause}"
         _picture(grid[row][0], heightmap, result.pick, robot, caption)
         for axis, (name, model) in zip(grid[row][1:], models.items(), strict=True):
             axis.imshow(model.affordances(heightmap.color, heightmap.height).max(0), cmap="inferno")
             axis.set_title(name, fontsize=9)
-        if run == 0:
+        if split not in drawn:
+            drawn.add(split)
             side = views[SPLITS.index(split)]
             side[0].imshow(result.observation.color)
             side[0].set_title("from the camera", fontsize=9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,9 @@ import lightning as L
 import torch
 from omegaconf import DictConfig
 
+from see2act.attempt import Attempt
 from see2act.datamodules.collect import Collection
+from see2act.datamodules.records import Records
 from see2act.errors import TransferError
 from see2act.experiment import attempts, build, charts, figures, model_file
 from see2act.experiment.context import RunContext
@@ -28,6 +30,7 @@ from see2act.experiment.stages.transfer import affordance_model
 from see2act.files import replacing, write_json
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.transfer import copy_parts
+from see2act.robot.types import Split
 
 log = logging.getLogger("see2act")
 STAGES = ("collect", "pretrain", "transfer", "finetune", "evaluate")
@@ -124,9 +127,25 @@ def _draw_acting(
         models = {f"vision model: {cfg.task.name}": seeing, **models}
     robot = build.robot_factory(cfg, cfg.primitive)()
     try:
-        figures.heatmaps(robot, models, build.policy(cfg), cfg.figures.scenes, context.title, out, cfg.evaluate.scenes)
+        if robot.attended:
+            made = _evaluated(context, rows)
+        else:
+            made = figures.first_attempts(robot, module.affordances, build.policy(cfg), cfg.figures.scenes, cfg.evaluate.scenes)
+        figures.heatmaps(made, models, robot, context.title, out)
     finally:
         robot.close()
+
+
+def _evaluated(context: RunContext, rows: Sequence[attempts.AttemptRow]) -> list[tuple[Split, Attempt]]:
+    """The first attempt of each test run of the last evaluation, from the records: a person need not fill the bin again."""
+    first: dict[tuple[Split, int], str] = {}
+    policy = context.cfg.policy.name
+    tested = [row for row in rows if (row.phase, row.policy, row.step) == ("eval", policy, context.attempts)]
+    for k, row in enumerate(tested):
+        first.setdefault((row.split, row.run), f"eval-{row.step:05}-{policy}-{k + 1:03}")
+    records = Records(context.folder / "attempts")
+    loaded = [(split, records.load(name)) for (split, _), name in first.items()]
+    return [(split, attempt) for split, attempt in loaded if attempt is not None]
 
 
 def _whole(cfg: DictConfig, vision: VisionCheckpoint, before: AffordanceModule) -> AffordanceModule | None:

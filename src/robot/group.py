@@ -25,6 +25,11 @@ class RobotGroup:
         self._alone = make() if count == 1 else None
         self._workers = [_Worker(make) for _ in range(count)] if count > 1 else []
 
+    @property
+    def attended(self) -> bool:
+        """Whether a person fills the bin; see :class:`Robot`. Such a robot is alone."""
+        return self._alone is not None and self._alone.attended
+
     def __len__(self) -> int:
         return len(self._workers) or 1
 

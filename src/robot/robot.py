@@ -21,6 +21,8 @@ class Robot(ABC):
     """Metres from a pick to each open jaw, along the pick's angle; 0 for a tool without jaws. Used in figures only."""
     repeatable: bool = False
     """Whether the same picks in a scene of the same seed always have the same outcomes, so that test runs can be reused."""
+    attended: bool = False
+    """Whether a person fills the bin, so that nothing that happened can be made again: a real robot."""
 
     @abstractmethod
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
@@ -34,6 +36,13 @@ class Robot(ABC):
         Raises:
             RobotError: No valid scene could be made.
         """
+
+    def resume(self, scene_seed: int, attempts: int) -> bool:
+        """Whether the bin is as an interrupted run left it in this scene after some attempts; if not, a new scene begins.
+
+        Only an attended robot is asked: with another one the attempts are made again.
+        """
+        return False
 
     @abstractmethod
     def background(self) -> Heightmap:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from see2act.attempt import Attempt
+from see2act.datamodules.records import Records
 from see2act.experiment import attempts, build, figures
 from see2act.experiment.attempts import AttemptRow, Phase, Place
 from see2act.experiment.cache import once
@@ -95,12 +96,29 @@ class _Evaluation:
                 scene_seed=test.scene_seed,
                 primitive=self._context.cfg.primitive.name,
             )
+            if robot.attended:
+                made = len(self._rows) + 1
+                Records(self._context.folder / "attempts").save(
+                    f"{phase}-{self._step:05}-{self._policy.name}-{made:03}", attempt
+                )
             self._rows.append(AttemptRow.of(attempt, place))
             self._context.log.append(self._rows[-1])
             watch(attempt)
 
+        if robot.attended:
+            known = self._interrupted()
         title = f"evaluate at {self._step} ({self._policy.name})"
         return evaluate(robot, self._module.affordances, self._policy, self._protocol, record, title, known)
+
+    def _interrupted(self) -> dict[tuple[Split, int], list[AttemptRow]]:
+        """Attempts of this evaluation that were made before the run was interrupted."""
+        runs: dict[tuple[Split, int], list[AttemptRow]] = {}
+        phase = "eval" if self._step else "zero_shot"
+        for row in attempts.read(self._context.log.path):
+            if (row.phase, row.policy, row.step) == (phase, self._policy.name, self._step):
+                runs.setdefault((row.split, row.run), []).append(row)
+        self._rows = [row for rows in runs.values() for row in rows]
+        return runs
 
     def _from_cache(self, robot: Robot) -> Evaluation:
         """Of a network that other runs have too, as all seeds of a model that was copied whole."""

@@ -11,6 +11,7 @@ import torch
 from hydra.utils import instantiate
 
 from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt
+from see2act.datamodules.records import Records
 from see2act.datamodules.replay import Replay
 from see2act.datamodules.trial_and_error import TrialAndError
 from see2act.errors import ConfigError
@@ -57,8 +58,10 @@ def _attempts_in(checkpoint: Path) -> int:
 
 def _counts(context: RunContext, row: AttemptRow, done: int) -> bool:
     """Whether a row of an interrupted run's log belongs to work that is not repeated."""
-    if row.phase == "finetune":
+    if row.phase in ("finetune", "aborted"):
         return context.progress.finetuned or row.step <= done
+    if build.attended(context.cfg):
+        return True
     if row.policy != context.cfg.policy.name:
         return context.progress.argmax is not None
     return row.step in context.progress.evaluations
@@ -83,7 +86,7 @@ def learn(
     cfg = context.cfg
     robots = RobotGroup(build.robot_factory(cfg, cfg.primitive), cfg.finetune.robots)
     try:
-        data = interactive_data(cfg, robots)
+        data = interactive_data(cfg, robots, context.folder / "attempts")
         loop = TrialAndError(
             data,
             context.attempts,
@@ -115,8 +118,8 @@ def learn(
     context.progress.save()
 
 
-def interactive_data(cfg: Any, robots: RobotGroup) -> InteractiveDataModule:
-    """Robots, replay and exploration as configured."""
+def interactive_data(cfg: Any, robots: RobotGroup, folder: Path) -> InteractiveDataModule:
+    """Robots, replay and exploration as configured; ``folder`` is for the attempts of an attended one."""
     return InteractiveDataModule(
         robots,
         instantiate(cfg.workspace),
@@ -128,12 +131,13 @@ def interactive_data(cfg: Any, robots: RobotGroup) -> InteractiveDataModule:
         temperature=cfg.finetune.temperature,
         episode_attempts=cfg.finetune.episode_attempts,
         scenes=cfg.evaluate.scenes,
+        records=Records(folder) if robots.attended else None,
     )
 
 
 def _log(context: RunContext, made: TrainingAttempt, t_learn: float) -> None:
     place = Place(
-        "finetune",
+        "aborted" if made.attempt.outcome.aborted else "finetune",
         split="seen",
         policy=context.cfg.policy.name,
         run=0,

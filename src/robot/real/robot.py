@@ -61,6 +61,8 @@ class RealRobot(Robot):
         RobotError: The station lacks something, or does not fit the workspace, the camera or the tool.
     """
 
+    attended = True
+
     def __init__(
         self,
         workspace: Workspace,

@@ -1,0 +1,72 @@
+"""Attempts of a real robot, each in a file of its own from the moment it happened: they cannot be made again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from see2act.attempt import Attempt
+from see2act.files import replacing
+from see2act.policy import Choice
+from see2act.robot.types import Heightmap, Observation, Outcome, Pick
+
+IMAGES = ("color", "depth")
+MAPS = ("color", "height", "valid")
+
+
+@dataclass(frozen=True)
+class Records:
+    """A folder with an attempt a file. A record says what was seen, chosen and done, and what came of it.
+
+    Args:
+        folder: Made with the first attempt.
+    """
+
+    folder: Path
+
+    def save(self, name: str, attempt: Attempt) -> None:
+        """Write an attempt, atomically.
+
+        Args:
+            name: Of the file, without its ending.
+            attempt: It.
+        """
+        observation = attempt.observation
+        arrays = {f"image_{key}": getattr(observation, key) for key in IMAGES}
+        arrays |= {f"map_{key}": getattr(observation.heightmap, key) for key in MAPS}
+        facts: dict[str, object] = {
+            "choice": asdict(attempt.choice),
+            "pick": asdict(attempt.pick),
+            "outcome": asdict(attempt.outcome),
+        }
+        facts["seconds"] = [attempt.t_observe, attempt.t_decide, attempt.t_act]
+        with replacing(self._path(name)) as partial, partial.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, facts=np.array(json.dumps(facts)), **arrays)
+
+    def save_aborted(self, step: int, attempt: Attempt) -> None:
+        """Write an attempt that was not carried through, in place of the training attempt of a number."""
+        tries = len(list(self.folder.glob(f"aborted-{step:05}-*.npz")))
+        self.save(f"aborted-{step:05}-{tries + 1}", attempt)
+
+    def load(self, name: str) -> Attempt | None:
+        """The attempt of that name; None if there is none."""
+        if not self._path(name).exists():
+            return None
+        with np.load(self._path(name)) as arrays:
+            facts = json.loads(str(arrays["facts"]))
+            heightmap = Heightmap(*(arrays[f"map_{key}"] for key in MAPS))
+            observation = Observation(heightmap, *(arrays[f"image_{key}"] for key in IMAGES))
+        return Attempt(
+            observation, Choice(**facts["choice"]), Pick(**facts["pick"]), Outcome(**facts["outcome"]), *facts["seconds"]
+        )
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{name}.npz"
+
+
+def training(step: int) -> str:
+    """Name of the training attempt of a number, from 1."""
+    return f"finetune-{step:05}"
