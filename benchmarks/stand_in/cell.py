@@ -1,6 +1,6 @@
 """A whole station without hardware: the simulated scene behind a stand-in for the controller, and a camera that writes files.
 
-`python -m benchmarks.stand_in FOLDER primitive=suction` keeps one up, for trying the commands of a real robot by hand.
+`python -m benchmarks.stand_in FOLDER` keeps one up, for trying a run of a real robot by hand.
 """
 
 from __future__ import annotations

@@ -116,11 +116,6 @@ def play(pipeline: Any, recording: str) -> Any:
         ) from None
 
 
-def ended(device: Any) -> bool:
-    """Whether a recording was played to its end."""
-    return bool(device.as_playback().current_status() == library().playback_status.stopped)
-
-
 def stop(pipeline: Any, device: Any) -> None:
     """Stop a camera or a recording."""
     with suppress(RuntimeError):  # it stopped by itself when the camera was lost

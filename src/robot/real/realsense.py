@@ -21,8 +21,8 @@ WARM_UP = 30
 STALE = 3
 """Pairs of images that are thrown away at a reading, because they may have been taken before it: the one that waits in
 librealsense's queue, one on its way through the camera and the cable, and one whose exposure has begun."""
-END = 0.05
-"""Seconds without an image after which it is looked whether a recording has come to its end."""
+END = 1.0
+"""Seconds without an image after which a recording is started again: it has come to its end. (Some starts also give none.)"""
 log = logging.getLogger("see2act")
 
 
@@ -55,6 +55,7 @@ class RealSense(DepthCamera):
         self._wanted = None if serial is None else str(serial)  # typed on a command line, it is a number
         self._request, self._recording = (width, height, fps), recording
         self._frames, self._timeout = frames, timeout
+        self._serial = ""
         self._pipeline: Any = None
 
     def open(self) -> None:
@@ -70,7 +71,7 @@ class RealSense(DepthCamera):
     def close(self) -> None:
         if self._pipeline is None:
             return
-        self._pipeline = None
+        self._pipeline = self._profile = self._device = None
         thread = Thread(target=self._stop, daemon=True)
         thread.start()
         thread.join(self._timeout)  # librealsense has been seen to wait for ever for a camera that is gone
@@ -142,9 +143,8 @@ class RealSense(DepthCamera):
                 error = reason
                 if not self._recording:
                     break
-                if librealsense.ended(self._device):
-                    self._stop()
-                    self._start()
+                self._stop()
+                self._start()
                 continue
             color, depth = images.get_color_frame(), images.get_depth_frame()
             numbers = color.get_frame_number(), depth.get_frame_number()

@@ -38,6 +38,8 @@ ACCELERATION = 0.5
 """m/s^2 and rad/s^2, of all motions."""
 REACHED, TURNED = 0.002, 0.02
 """Metres and radians from its target within which a motion must end. A UR5 repeats a pose within 0.1 mm."""
+SETTLE = 0.3
+"""Seconds after a motion in which the arm must have come to rest at its target."""
 SLOWEST = 0.02
 """Share of the speed below which a slider counts as zero; the controller takes no less."""
 SEEN_BY_SCRIPT = 18
@@ -202,7 +204,7 @@ class UrArm:
         speed *= self._share
         travel = float(np.abs(np.subtract(joints, self.joints)).max())
         self._run(lambda: self._do("moveJ", list(joints), speed, ACCELERATION, True), travel / speed, straight=False)
-        if np.abs(np.subtract(joints, self.joints)).max() > TURNED:
+        if not self._settled(lambda: bool(np.abs(np.subtract(joints, self.joints)).max() < TURNED)):
             raise ArmError("the arm has stopped before it reached a taught place: see what holds it")
 
     def move_line(
@@ -351,12 +353,24 @@ class UrArm:
             raise ArmError("the controller's program was ended at the pendant: type the same command again")
 
     def _refuse_another_place(self, target: Float[np.ndarray, "4 4"]) -> None:
-        off, turned = float(np.linalg.norm(self.tip[:3, 3] - target[:3, 3])), _angle(self.tip, target)
-        if off > REACHED or turned > TURNED:
+        def off() -> tuple[float, float]:
+            return float(np.linalg.norm(self.tip[:3, 3] - target[:3, 3])), _angle(self.tip, target)
+
+        if not self._settled(lambda: bool(np.all(np.array(off()) < (REACHED, TURNED)))):
+            metres, turned = off()
             raise ArmError(
-                f"the arm has stopped {1000 * off:.0f} mm and {np.degrees(turned):.0f} degrees from {_place(target)} m: see "
+                f"the arm has stopped {1000 * metres:.0f} mm and {np.degrees(turned):.0f} degrees from {_place(target)} m: see "
                 "what holds it, and whether the payload in the station is right"
             )
+
+    def _settled(self, there: Callable[[], bool]) -> bool:
+        """Whether the arm is where it should be, a moment after its motion: the pose arrives later than the news of the end."""
+        deadline = time.monotonic() + SETTLE
+        while not there():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(POLL)
+        return True
 
     def _refuse_silence(self) -> None:
         if self._link_is_lost():

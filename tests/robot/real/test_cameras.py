@@ -129,9 +129,11 @@ def connect(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 @pytest.fixture(autouse=True)
 def warm_up(monkeypatch: pytest.MonkeyPatch) -> int:
-    """How many images a camera throws away at its start; in these tests fewer, as their exposure is right."""
+    """How many images a camera throws away at its start; in these tests fewer, as their exposure is right. And their recordings
+    are short."""
     usual = module.WARM_UP
     monkeypatch.setattr(module, "WARM_UP", 3)
+    monkeypatch.setattr(module, "END", 0.3)
     return usual
 
 
@@ -158,7 +160,7 @@ def test_a_recording_that_ends_is_played_again(tmp_path: Path) -> None:
     images = [(np.full_like(FLAT[0], 10 * i), FLAT[1] + np.uint16(i)) for i in range(1, 6)]
     record(tmp_path / "a.db3", SoftwareCamera(COLOR, COLOR), images)
     with opened(realsense(tmp_path / "a.db3", frames=1)) as camera:
-        for _ in range(6):
+        for _ in range(3):
             frame = camera.read()
             assert frame.color[0, 0, 0] / 10 == pytest.approx(1000 * frame.depth[0, 0] - 700, abs=1e-3)  # of one moment
 
@@ -391,7 +393,7 @@ def test_a_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_building_touches_nothing_and_a_camera_left_open_does_not_hold_up_the_end(tmp_path: Path) -> None:
-    record(tmp_path / "a.db3", SoftwareCamera(COLOR, COLOR), [FLAT] * 10)
+    record(tmp_path / "a.db3", SoftwareCamera(COLOR, COLOR), [FLAT] * 40)
     code = f"""
 import sys
 from see2act.robot.real.realsense import RealSense
