@@ -33,6 +33,8 @@ FASTEST = 10.0
 """Times that the simulation runs faster than real time, at most."""
 SHOT_EVERY = 0.15
 """Seconds of real time between images while the arm is at rest."""
+REST = 240
+"""Timesteps without motion and vacuum, a second, after which nothing is simulated until something happens."""
 KEPT = 20
 """Images in the folder."""
 SEAL_EVERY = 12
@@ -103,7 +105,7 @@ class _Cell:
         self.controller = Controller(host)
         self.controller.state.q = np.array(self._joints())
         self._on = self._sealed = False
-        self._steps, self._shots, self._next_shot = 0, 0, 0.0
+        self._steps, self._busy_until, self._shots, self._next_shot = 0, REST, 0, 0.0
         self._write_station(host)
         robot._noise = np.random.default_rng(0)
 
@@ -111,6 +113,7 @@ class _Cell:
         if what == "fill":
             self.robot.reset(*arguments)
             self._on = self._sealed = False
+            self._busy_until = self._steps + REST
             self.controller.state.q = np.array(self._joints())
             return None
         if what == "unlock":
@@ -122,7 +125,18 @@ class _Cell:
         return found() if callable(found) else found
 
     def step(self) -> None:
-        """One timestep of everything."""
+        """One timestep of everything that is not at rest, and an image when it is time for one."""
+        state = self.controller.state
+        if self.controller.moving or self._on or state.outputs & 1:
+            self._busy_until = self._steps + REST
+        if self._steps < self._busy_until:
+            self._simulate()
+        now = time.monotonic()
+        if not self.controller.moving and now >= self._next_shot:
+            self._shoot()
+            self._next_shot = now + SHOT_EVERY
+
+    def _simulate(self) -> None:
         robot, state = self.robot, self.controller.state
         self.controller.step(TIMESTEP)
         robot.arm._command(state.q, np.zeros(6))
@@ -134,10 +148,6 @@ class _Cell:
             self._sealed = self.tool.engaged()
         self.tool.update_hold()
         self._sense()
-        now = time.monotonic()
-        if not self.controller.moving and now >= self._next_shot:
-            self._shoot()
-            self._next_shot = now + SHOT_EVERY
 
     def _switch(self, on: bool) -> None:
         if on == self._on:

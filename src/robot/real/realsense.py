@@ -57,6 +57,8 @@ class RealSense(DepthCamera):
         self._frames, self._timeout = frames, timeout
         self._serial = ""
         self._pipeline: Any = None
+        self._profile: Any = None
+        self._device: Any = None
 
     def open(self) -> None:
         self._start()

@@ -346,11 +346,16 @@ class UrArm:
 
     def _refuse_to_go_on(self) -> None:
         """In the middle of a motion."""
+        self._refuse_modes()
+        if not self._call(self._control.isProgramRunning):
+            time.sleep(5 * POLL)  # a protective stop ends the program too, and its news may come later
+            self._refuse_modes()
+            raise ArmError("the controller's program was ended at the pendant: type the same command again")
+
+    def _refuse_modes(self) -> None:
         status = self._read(remote=True)  # was read before the motion, by the slower dashboard
         if reason := status.objection():
             raise (ProtectiveStop if status.safety_mode == "protective stop" else ArmError)(reason)
-        if not self._call(self._control.isProgramRunning):
-            raise ArmError("the controller's program was ended at the pendant: type the same command again")
 
     def _refuse_another_place(self, target: Float[np.ndarray, "4 4"]) -> None:
         def off() -> tuple[float, float]:

@@ -128,7 +128,8 @@ def test_a_good_pick_succeeds_and_takes_the_object_out(robot: RealRobot) -> None
 def test_a_pick_of_the_floor_fails_and_the_arm_goes_home(robot: RealRobot) -> None:
     floor = robot.workspace.pick(robot.observe().heightmap, 10, 130, 0.0)
     outcome = robot.execute(floor)
-    assert (outcome.success, outcome.cause) == (False, "no_seal")
+    assert not outcome.success
+    assert outcome.cause in ("no_seal", "slipped"), "a cup may seal on the floor, which does not come along"
     home = robot.station.robot.home
     assert home is not None
     assert np.abs(np.subtract(robot._cell.arm.joints, home)).max() < 1e-3
