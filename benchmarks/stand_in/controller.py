@@ -77,6 +77,8 @@ class State:
     """Newtons and newton metres at the tool's tip."""
     tcp: list[float] = field(default_factory=lambda: [0.0] * 6)
     """Pose of the tool's tip in the frame of the flange."""
+    speed: float = 0.0
+    """Of the last motion that was commanded, m/s or rad/s."""
     freedrive: bool = False
     refuse_moves: bool = False
     """Whether moves are accepted and never begin."""
@@ -358,14 +360,14 @@ class Controller:
         elif command in UNANSWERED:
             return
         elif command == 255:
-            self._set("output_int_register_0", 2)
-            self._script_dies()
-            return
+            self._stop_moving()
+            state.program = False
         self._set("output_int_register_0", 2)
 
     def _start_moving(self, command: int) -> None:
         """1: joints, 2: to a pose by joints, 3: to a pose in a straight line, 4: to joints in a straight line."""
         target, (speed, _) = np.array(self._doubles(0, 6)), self._doubles(6, 2)
+        self.state.speed = speed
         if command == 3:
             target[2] += self.state.off_by
         joints = target if command in (1, 4) else self._joints_at(target, self.state.q)
