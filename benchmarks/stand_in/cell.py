@@ -227,7 +227,7 @@ class _Cell:
 def _tool(tool: EndEffector) -> VacuumOutput:
     assert isinstance(tool, SuctionCup), "a gripper has no stand-in at the controller's outputs yet"
     return VacuumOutput(
-        tip=tool.length(), mass=0.5, depth=tool.press, floor_gap=0.0005, analog=0, volts=VOLTS, seconds=0.25, threshold=20.0
+        tip=tool.length(), mass=0.5, depth=tool.press, floor_gap=0.0005, analog=0, volts=VOLTS, seconds=1.0, threshold=20.0
     )
 
 
