@@ -11,6 +11,7 @@ import socket
 import struct
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,6 +21,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from ur_analytic_ik import ur5
+
+from see2act.robot.real.station import matrix, pose
 
 DASHBOARD, SCRIPTS, RTDE = 29999, (30001, 30002, 30003), 30004
 """Ports of a controller."""
@@ -396,13 +399,12 @@ class Controller:
 
     def _tip(self, joints: np.ndarray | None = None) -> np.ndarray:
         """Pose of the tool's tip."""
-        return _vector(
-            np.array(ur5.forward_kinematics(*(self.state.q if joints is None else joints))) @ _matrix(self.state.tcp)
-        )
+        flange = np.array(ur5.forward_kinematics(*(self.state.q if joints is None else joints)))
+        return np.array([*pose(flange @ matrix(self.state.tcp))])
 
     def _joints_at(self, tip: np.ndarray, near: np.ndarray) -> np.ndarray | None:
         """The joints nearest to given ones with the tip at a pose; None where there are none."""
-        flange = _matrix(tip) @ np.linalg.inv(_matrix(self.state.tcp))
+        flange = matrix(tip) @ np.linalg.inv(matrix(self.state.tcp))
         found = [near + (np.array(q) - near + np.pi) % (2 * np.pi) - np.pi for q in ur5.inverse_kinematics(flange)]
         return min(found, key=lambda q: float(np.abs(q - near).max()), default=None)
 
@@ -442,7 +444,7 @@ class Controller:
             serve(client)
 
 
-class _Move:
+class _Move(ABC):
     """A motion with smooth ends; its peak speed is the one commanded."""
 
     def __init__(self, length: float, speed: float, background: bool):
@@ -459,8 +461,9 @@ class _Move:
         self._passed += seconds
         return self._joints((1 - np.cos(np.pi * min(1.0, self._passed / self._seconds))) / 2)
 
+    @abstractmethod
     def _joints(self, share: float) -> np.ndarray | None:
-        raise NotImplementedError
+        """Joints after a share of the way; None where there are none."""
 
 
 class _JointMove(_Move):
@@ -501,14 +504,3 @@ def _type(name: str) -> str:
 
 def _packed(name: str, value: Any) -> bytes:
     return struct.pack(">" + _FORMATS[_type(name)], *np.ravel(value).tolist())
-
-
-def _matrix(pose: Any) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_rotvec(pose[3:]).as_matrix()
-    matrix[:3, 3] = pose[:3]
-    return matrix
-
-
-def _vector(matrix: np.ndarray) -> np.ndarray:
-    return np.concatenate([matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_rotvec()])

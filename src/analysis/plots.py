@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from see2act.analysis.drawing import OTHER_COLOR, STYLE, band, band_words, bar_words, dots, legend, level, look
 from see2act.analysis.groups import Comparison, Group
 from see2act.analysis.summary import published_for, rates
+from see2act.experiment.attempts import TESTED
 from see2act.experiment.results import BLOCK, SPLITS
 from see2act.files import replacing
 
@@ -285,7 +286,7 @@ def _failures(group: Group, stage: str) -> dict[str, float]:
         row
         for run in group.runs
         for row in run.attempts
-        if (row.phase == "finetune" if step is None else row.phase in ("zero_shot", "eval") and row.step == step)
+        if (row.phase == "finetune" if step is None else row.phase in TESTED and row.step == step)
         and (step is None or row.policy == policy)
     ]
     failed = Counter(row.cause for row in rows if not row.success)

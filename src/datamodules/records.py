@@ -70,3 +70,8 @@ class Records:
 def training(step: int) -> str:
     """Name of the training attempt of a number, from 1."""
     return f"finetune-{step:05}"
+
+
+def testing(phase: str, step: int, policy: str, number: int) -> str:
+    """Name of an attempt of an evaluation, numbered from 1 in each."""
+    return f"{phase}-{step:05}-{policy}-{number:03}"

@@ -19,6 +19,10 @@ Phase = Literal["zero_shot", "finetune", "eval", "aborted"]
 """``aborted``: a training attempt of a real robot that was not carried through; nothing counts it."""
 
 
+TESTED: tuple[Phase, ...] = ("zero_shot", "eval")
+"""Phases of evaluations."""
+
+
 @dataclass(frozen=True)
 class Place:
     """Where an attempt belongs in its run."""

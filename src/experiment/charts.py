@@ -13,7 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from see2act.experiment.attempts import AttemptRow
+from see2act.experiment.attempts import TESTED, AttemptRow
 from see2act.experiment.results import BLOCK, SPLITS, curve, wilson
 from see2act.files import replacing
 
@@ -33,7 +33,7 @@ def learning_curve(rows: Sequence[AttemptRow], path: Path, title: str) -> None:
         low, high = np.array([wilson(point.successes, point.attempts) for point in points]).T
         axes.fill_between(x, low, high, alpha=0.2, color="C0", linewidth=0)
         axes.plot(x, y, "o-", color="C0", label=f"while learning, blocks of {BLOCK}")
-    tested = [row for row in rows if row.phase in ("zero_shot", "eval")]
+    tested = [row for row in rows if row.phase in TESTED]
     rule = tested[0].policy
     for color, split in zip(("C2", "C3"), SPLITS, strict=True):
         by_step: dict[int, list[int]] = {}

@@ -189,6 +189,8 @@ def check_run(cfg: DictConfig) -> None:
     from see2act.experiment import build
 
     check_parts(cfg)
+    if cfg.robot.get("dry_run"):
+        raise ConfigError("robot.dry_run=true carries no pick through, so a run would try for ever: leave it to demo.py")
     for group in ("trainer", "logger", "collect.primitive"):
         check_arguments(OmegaConf.select(cfg, group), group)
     learns_to_see = cfg.task.label and not cfg.task.weights

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from see2act.datamodules.records import Records
 from see2act.experiment.attempts import AttemptsCsv
 from see2act.experiment.dashboard import Dashboard
 from see2act.experiment.progress import Progress
@@ -35,6 +36,11 @@ class RunContext:
     def checkpoints(self) -> Path:
         """Folder of models."""
         return self.folder / "checkpoints"
+
+    @property
+    def records(self) -> Records:
+        """Attempts of an attended robot."""
+        return Records(self.folder / "attempts")
 
     @property
     def figures(self) -> Path:

@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from see2act.attempt import Attempt
 from see2act.datamodules.collect import Collection
-from see2act.datamodules.records import Records
+from see2act.datamodules.records import testing
 from see2act.errors import TransferError
 from see2act.experiment import attempts, build, charts, figures, model_file
 from see2act.experiment.context import RunContext
@@ -142,9 +142,8 @@ def _evaluated(context: RunContext, rows: Sequence[attempts.AttemptRow]) -> list
     policy = context.cfg.policy.name
     tested = [row for row in rows if (row.phase, row.policy, row.step) == ("eval", policy, context.attempts)]
     for k, row in enumerate(tested):
-        first.setdefault((row.split, row.run), f"eval-{row.step:05}-{policy}-{k + 1:03}")
-    records = Records(context.folder / "attempts")
-    loaded = [(split, records.load(name)) for (split, _), name in first.items()]
+        first.setdefault((row.split, row.run), testing("eval", row.step, policy, k + 1))
+    loaded = [(split, context.records.load(name)) for (split, _), name in first.items()]
     return [(split, attempt) for split, attempt in loaded if attempt is not None]
 
 

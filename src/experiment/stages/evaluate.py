@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from see2act.attempt import Attempt
-from see2act.datamodules.records import Records
+from see2act.datamodules.records import testing
 from see2act.experiment import attempts, build, figures
 from see2act.experiment.attempts import AttemptRow, Phase, Place
 from see2act.experiment.cache import once
@@ -97,10 +97,8 @@ class _Evaluation:
                 primitive=self._context.cfg.primitive.name,
             )
             if robot.attended:
-                made = len(self._rows) + 1
-                Records(self._context.folder / "attempts").save(
-                    f"{phase}-{self._step:05}-{self._policy.name}-{made:03}", attempt
-                )
+                name = testing(phase, self._step, self._policy.name, len(self._rows) + 1)
+                self._context.records.save(name, attempt)
             self._rows.append(AttemptRow.of(attempt, place))
             self._context.log.append(self._rows[-1])
             watch(attempt)

@@ -86,7 +86,7 @@ def learn(
     cfg = context.cfg
     robots = RobotGroup(build.robot_factory(cfg, cfg.primitive), cfg.finetune.robots)
     try:
-        data = interactive_data(cfg, robots, context.folder / "attempts")
+        data = interactive_data(cfg, robots, context.records)
         loop = TrialAndError(
             data,
             context.attempts,
@@ -118,8 +118,8 @@ def learn(
     context.progress.save()
 
 
-def interactive_data(cfg: Any, robots: RobotGroup, folder: Path) -> InteractiveDataModule:
-    """Robots, replay and exploration as configured; ``folder`` is for the attempts of an attended one."""
+def interactive_data(cfg: Any, robots: RobotGroup, records: Records) -> InteractiveDataModule:
+    """Robots, replay and exploration as configured; ``records`` are for an attended one."""
     return InteractiveDataModule(
         robots,
         instantiate(cfg.workspace),
@@ -131,7 +131,7 @@ def interactive_data(cfg: Any, robots: RobotGroup, folder: Path) -> InteractiveD
         temperature=cfg.finetune.temperature,
         episode_attempts=cfg.finetune.episode_attempts,
         scenes=cfg.evaluate.scenes,
-        records=Records(folder) if robots.attended else None,
+        records=records if robots.attended else None,
     )
 
 

@@ -26,7 +26,7 @@ class Link:
         section: With the address.
     """
 
-    def __init__(self, kind: str, section: station.Rg2Modbus | station.Vg10):
+    def __init__(self, kind: str, section: station.ComputeBoxSection):
         self.name = f"the {kind} at {section.host}:{section.port}, unit {section.unit}"
         self._host, self._port, self._unit = section.host, section.port, section.unit
         self._client: ModbusTcpClient | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -194,7 +195,7 @@ class RealRobot(Robot):
         ):
             pass
         try:
-            self._cell.arm.recover()
+            self._cell.arm.check_ready()
         except ProtectiveStop as still:
             self._wait_for_a_person(str(still))
             return
@@ -245,11 +246,9 @@ class RealRobot(Robot):
         tip[2, 3] = max(tip[2, 3], z)
         return self._world @ tip
 
-    @property
+    @cached_property
     def _gate_joints(self) -> Joints:
-        if not hasattr(self, "_kept_gate"):
-            self._kept_gate = self._cell.arm.joints_at(self._gate(), near=self._taught("home"))
-        return self._kept_gate
+        return self._cell.arm.joints_at(self._gate(), near=self._taught("home"))
 
     def _taught(self, name: str) -> Joints:
         joints: Joints = getattr(self.station.robot, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -58,15 +59,20 @@ class ToolSection(_Section):
     """Metres above the bin's floor below which the tip never goes."""
 
 
-class Rg2Modbus(ToolSection):
-    """OnRobot RG2 at a Compute Box."""
+class ComputeBoxSection(ToolSection):
+    """A tool at OnRobot's Compute Box."""
 
-    kind: Literal["rg2_modbus"] = "rg2_modbus"
     host: str
     """Address of the Compute Box."""
     port: int = 502
     unit: int = 65
     """Modbus unit of the tool: 65 at the first connector."""
+
+
+class Rg2Modbus(ComputeBoxSection):
+    """OnRobot RG2 at a Compute Box."""
+
+    kind: Literal["rg2_modbus"] = "rg2_modbus"
     opening: Positive = 0.105
     """Metres between the open fingertips."""
     force: Positive = 20.0
@@ -113,13 +119,10 @@ class VacuumOutput(ToolSection):
     """Kilopascals below the pressure of the free cup from which on an object counts as held."""
 
 
-class Vg10(ToolSection):
+class Vg10(ComputeBoxSection):
     """OnRobot VG10 at a Compute Box."""
 
     kind: Literal["vg10"] = "vg10"
-    host: str
-    port: int = 502
-    unit: int = 65
     channel: Literal["a", "b", "both"] = "both"
     """Of the two air channels, the one with cups."""
     vacuum: Annotated[float, Field(gt=0, le=80)] = 40.0
@@ -262,7 +265,7 @@ def save(station: Station, path: Path) -> None:
         partial.write_text(HEADER + yaml.dump(data, Dumper=_FlatLists, sort_keys=False, width=128))
 
 
-def matrix(pose: Pose) -> Float[np.ndarray, "4 4"]:
+def matrix(pose: Sequence[float] | np.ndarray) -> Float[np.ndarray, "4 4"]:
     """Pose of the controller as a matrix."""
     result = np.eye(4)
     result[:3, :3] = Rotation.from_rotvec(pose[3:]).as_matrix()

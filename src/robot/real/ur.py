@@ -129,7 +129,7 @@ class UrArm:
         self._version = self._dashboard("polyscopeVersion")
         if not control:
             return
-        self._refuse_to_move_if_unsafe()
+        self.check_ready()
         self._control = self._made("rtde_control", "RTDEControlInterface", "the controller runs no program of ours")
         self._io = self._made("rtde_io", "RTDEIOInterface", "the controller hands out no outputs: end other programs")
         self._do("setTcp", [0.0, 0.0, self._tool.tip, 0.0, 0.0, 0.0])
@@ -198,7 +198,7 @@ class UrArm:
         Raises:
             ArmError: See the class.
         """
-        self._refuse_to_move_if_unsafe()
+        self.check_ready()
         if not self._ask("isJointsWithinSafetyLimits", list(joints)):
             raise ArmError("the controller's safety limits do not allow the joints of a taught place: teach it again")
         speed *= self._share
@@ -224,14 +224,11 @@ class UrArm:
         Raises:
             ArmError: See the class.
         """
-        self._refuse_to_move_if_unsafe()
+        self.check_ready()
         for name, place in (("the tip is", self.tip), ("the target is", target)):
             if reason := box.objection(place[:3, 3]):
                 raise ArmError(f"{name} {reason}")
-        if not self._ask("isPoseWithinSafetyLimits", list(pose(target))):
-            raise ArmError(
-                f"the arm cannot reach {_place(target)} m, or its safety limits forbid it: move the bin, or change the limits"
-            )
+        self._refuse_out_of_reach(target)
         speed *= self._share
         before, stopped_by = self.force, None
 
@@ -253,21 +250,12 @@ class UrArm:
         Raises:
             ArmError: There are none.
         """
-        if not self._ask("isPoseWithinSafetyLimits", list(pose(target))):
-            raise ArmError(f"the arm cannot reach {_place(target)} m, or its safety limits forbid it: move the bin")
+        self._refuse_out_of_reach(target)
         return tuple(self._call(self._control.getInverseKinematics, list(pose(target)), list(near)))
 
     def stop(self) -> None:
         """Stop at once."""
         self._call(self._control.stopL, DECELERATION)
-
-    def recover(self) -> None:
-        """Take command again after a protective stop that a person has cleared. Nothing moves.
-
-        Raises:
-            ArmError: It is not cleared.
-        """
-        self._refuse_to_move_if_unsafe()
 
     def freedrive(self, on: bool) -> None:
         """Let a person move the arm by hand, or end that."""
@@ -335,27 +323,31 @@ class UrArm:
     def _operation(self) -> Any:
         return self._call(self._control.getAsyncOperationProgressEx)
 
-    def _refuse_to_move_if_unsafe(self) -> None:
-        status = self.status()
-        if reason := status.objection():
-            raise (ProtectiveStop if status.safety_mode == "protective stop" else ArmError)(reason)
+    def _refuse_out_of_reach(self, target: Float[np.ndarray, "4 4"]) -> None:
+        if not self._ask("isPoseWithinSafetyLimits", list(pose(target))):
+            raise ArmError(
+                f"the arm cannot reach {_place(target)} m, or its safety limits forbid it: move the bin, or change the limits"
+            )
+
+    def check_ready(self) -> None:
+        """Refuse to move in the wrong mode, and start the controller's program again where it has ended. Nothing moves.
+
+        Raises:
+            ArmError: The arm must not move; :class:`ProtectiveStop` where nobody has cleared one.
+        """
+        _refuse(self.status())
         if self._control is not None and not self._call(self._control.isProgramRunning):
             log.info("the controller's program had ended, and is started again")
             self._call(self._control.reuploadScript)
             self._wait(self._control.isProgramRunning, "its program")
 
     def _refuse_to_go_on(self) -> None:
-        """In the middle of a motion."""
-        self._refuse_modes()
+        """In the middle of a motion. The dashboard, which is slow, was asked before it."""
+        _refuse(self._read(remote=True))
         if not self._call(self._control.isProgramRunning):
             time.sleep(5 * POLL)  # a protective stop ends the program too, and its news may come later
-            self._refuse_modes()
+            _refuse(self._read(remote=True))
             raise ArmError("the controller's program was ended at the pendant: type the same command again")
-
-    def _refuse_modes(self) -> None:
-        status = self._read(remote=True)  # was read before the motion, by the slower dashboard
-        if reason := status.objection():
-            raise (ProtectiveStop if status.safety_mode == "protective stop" else ArmError)(reason)
 
     def _refuse_another_place(self, target: Float[np.ndarray, "4 4"]) -> None:
         def off() -> tuple[float, float]:
@@ -453,6 +445,11 @@ class UrArm:
 
 SLOW = 0.25
 """Share of the speed until a touch test was clean."""
+
+
+def _refuse(status: Status) -> None:
+    if reason := status.objection():
+        raise (ProtectiveStop if status.safety_mode == "protective stop" else ArmError)(reason)
 
 
 def _library(name: str) -> Any:

@@ -13,6 +13,8 @@ import pytest
 from hydra.utils import instantiate
 
 from benchmarks.stand_in.cell import StandInCell
+from see2act.errors import ConfigError
+from see2act.experiment.checks import check_run
 from see2act.experiment.config import composed
 from see2act.robot.real import cell as cells
 from see2act.robot.real import station as stations
@@ -226,3 +228,8 @@ def test_what_a_station_lacks_is_said_before_anything_connects(
         return
     with pytest.raises(Exception, match=message):
         built(folder, None, *overrides)
+
+
+def test_nothing_can_be_learned_from_a_dry_run(cell: StandInCell, folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"leave it to demo\.py"):
+        check_run(configured(folder, "robot.dry_run=true"))
