@@ -25,7 +25,7 @@ from see2act.robot.types import Split
 
 HOST = "127.42.0.1"
 PROMPT = re.compile(r">> (.+)\n>> $", re.DOTALL)
-REAL = ("robot=ur5_real", "camera=files", "camera.frames=1", "labels=vision", "collect.workers=1")
+REAL = ("robot=ur5_real", "camera=files", "camera.frames=1")
 SHORT = ("collect.interactions=8", "collect.per_scene=4", "evaluate.runs=1", "figures.scenes=1", "logger=none", "threads=1")
 TEST = ("evaluate.attempts.seen=5", "evaluate.attempts.unseen=5")
 
@@ -93,10 +93,10 @@ def main() -> None:
     if args.out.exists():
         sys.exit(f"{args.out} exists: give another --out")
     given = [f"finetune.attempts={args.attempts}", f"evaluate.at=[{args.attempts}]", *SHORT, *TEST, *args.overrides]
-    given += ["primitive@collect.primitive=suction"]
     cell = StandInCell(HOST, args.out, ["robot.bin.floor=plain"])
     try:
         place = [f"robot.station={args.out}/station.yaml", f"camera.folder={args.out}/camera"]
+        place += [f"collect.folder={args.out}/observations"]
         person = Person([sys.executable, "train.py", *REAL, *place, *given, f"hydra.run.dir={args.out}/real"], cell)
         kills = 0
         while (status := person.run(args.every if kills < args.kill else None)) is None:

@@ -27,7 +27,7 @@ def main() -> None:
     print(
         f"a cup over a bin, its controller at {args.host}. In another terminal:\n\n"
         f"python train.py robot=ur5_real robot.station={folder}/station.yaml camera=files camera.folder={folder}/camera "
-        "camera.frames=1 labels=vision collect.workers=1 primitive@collect.primitive=suction collect.interactions=8 "
+        "camera.frames=1 collect.interactions=8 "
         "task=none transfer=none finetune.attempts=30 'evaluate.at=[30]'\n"
     )
     try:

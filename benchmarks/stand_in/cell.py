@@ -7,22 +7,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
+from benchmarks.stand_in.board import with_board
 from benchmarks.stand_in.controller import Controller
 from see2act.experiment.build import robot_factory
 from see2act.experiment.config import composed
-from see2act.robot.arm import JOINTS
+from see2act.robot.arm import HOME_ANGLE, JOINTS, pointing_down
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.real import station as stations
+from see2act.robot.real.board import Board
 from see2act.robot.real.image_folder import Description, describe, write_pair
-from see2act.robot.real.robot import CENTRE
+from see2act.robot.real.projection import CENTRE
 from see2act.robot.real.station import CalibrationSection, RobotSection, Station, TouchSection, VacuumOutput
+from see2act.robot.real.views import bin_points
 from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
 from see2act.robot.suction import SuctionCup
@@ -41,6 +46,14 @@ SEAL_EVERY = 12
 """Timesteps between a resting cup's trials to seal: 50 ms."""
 VOLTS = (1.0, 5.0)
 """Of the pressure sensor at ambient pressure, and at 100 kPa below it."""
+CORNERS = {"near left": (-1.0, 1.0, 0.0), "near right": (-1.0, -1.0, 0.0), "far left": (1.0, 1.0, 0.0)}
+PLACES = {"home": (0.0, 0.0, 0.0), "drop": (0.0, 0.0, 0.0), **CORNERS, "board": (-0.05, 0.0, 0.15)}
+"""Where a hand leads the tip: shares of half the bin, and metres above its floor. Home and the drop are known by joints."""
+BOARD = Board()
+BRACKET = (0.08, 0.0, 0.10)
+"""Middle of the board in the frame of the flange, metres."""
+LYING = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+"""A board's pose in the world, in the middle of the bin, its printed side up."""
 DROP = (1.2, -1.3, 1.4, -1.67, -1.57, 0.0)
 """Joints beside the bin, radians."""
 
@@ -52,12 +65,14 @@ class StandInCell:
         host: Address of its controller, 127.0.0.N.
         folder: Where ``station.yaml``, the image of the empty bin and the camera's images go.
         overrides: Configuration of the simulated robot, as for train.py.
+        unboxed: Whether the station is not set up yet: there is no ``station.yaml``, and the camera shows more than the bin.
     """
 
-    def __init__(self, host: str, folder: Path, overrides: Sequence[str] = ()):
+    def __init__(self, host: str, folder: Path, overrides: Sequence[str] = (), unboxed: bool = False):
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(host, folder, list(overrides), theirs), daemon=True)
+        arguments = host, folder, list(overrides), unboxed, theirs
+        self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
         self._pipe.recv()
@@ -65,6 +80,28 @@ class StandInCell:
     def fill(self, scene_seed: int, split: Split) -> None:
         """What a person does when asked for a scene."""
         self._ask("fill", scene_seed, split)
+
+    def empty(self) -> None:
+        """Take everything out of the bin."""
+        self._ask("empty")
+
+    def lead(self, place: str) -> None:
+        """What a hand does in freedrive: lead the arm to a key of :data:`PLACES`."""
+        self._ask("lead", place)
+
+    def put_board(self, place: Literal["away", "tool", "floor"]) -> None:
+        """Fix the calibration board beside the tool, lay it into the bin, or take it away."""
+        self._ask("put_board", place)
+
+    def offset(self) -> tuple[float, float]:
+        """What a person measures: metres from the tip to the next corner of the board in the bin, sideways and up."""
+        sideways, up = self._ask("offset")
+        return sideways, up
+
+    def error(self, camera: Float[np.ndarray, "4 4"]) -> float:
+        """Metres rms by which points in the bin are off with a camera in this pose (to the controller's base)."""
+        found: float = self._ask("error", camera)
+        return found
 
     def protective_stop(self) -> None:
         """Stop the arm, as a collision would."""
@@ -97,16 +134,27 @@ class StandInCell:
 class _Cell:
     """What runs in that process: joints that the controller commands, and a tool that its outputs switch."""
 
-    def __init__(self, host: str, folder: Path, overrides: list[str]):
-        cfg = composed(["task=none", "transfer=none", *overrides, "robot.motion=full"])
+    def __init__(self, host: str, folder: Path, overrides: list[str], unboxed: bool):
+        large = ["camera.width=1280", "camera.height=720", "camera.focal=930"] if unboxed else []
+        cfg = composed(["task=none", "transfer=none", *large, *overrides, "robot.motion=full"])
         robot: SimulatedRobot = robot_factory(cfg, cfg.primitive)()
         self.robot, self.tool, self._folder = robot, robot.tool, folder
+        if unboxed:  # all of its image, at the sensor's resolution: markers are small
+            robot.camera = replace(robot.camera, crop=None)
         robot.background()  # builds the empty bin and the arm
         self.controller = Controller(host)
         self.controller.state.q = np.array(self._joints())
         self._on = self._sealed = False
         self._steps, self._busy_until, self._shots, self._next_shot = 0, REST, 0, 0.0
-        self._write_station(host)
+        self._home = self._joints()
+        self._world = np.diag([-1.0, -1.0, 1.0, 1.0])  # to the controller's base, which is turned by half a turn
+        self._world[:3, 3] = np.array([1, 1, -1]) * robot._config.base
+        self._board: Float[np.ndarray, "4 4"] | None = None
+        self._board_carried = False
+        self._view: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._describe_camera()
+        if not unboxed:
+            self._write_station(host)
         robot._noise = np.random.default_rng(0)
 
     def answer(self, what: str, arguments: tuple) -> Any:
@@ -121,8 +169,55 @@ class _Cell:
             return None
         if what == "moves":
             return sum(entry in ("command 1", "command 3") for entry in self.controller.log)
+        if what in ("empty", "lead", "put_board", "offset", "error"):
+            return getattr(self, what)(*arguments)
         found = getattr(self.controller, what)
         return found() if callable(found) else found
+
+    def empty(self) -> None:
+        self.robot._build()
+        self._view = None
+        self._busy_until = self._steps + REST
+
+    def lead(self, place: str) -> None:
+        state = self.controller.state
+        assert state.freedrive, "the arm does not give way: nobody has asked for freedrive"
+        if place in ("home", "drop"):
+            state.q = np.array(self._home if place == "home" else DROP)
+            return
+        corner = np.array(PLACES[place]) * [self.robot.workspace.width / 2, self.robot.workspace.length / 2, 1]
+        tip = np.eye(4)
+        tip[:3, :3], tip[:3, 3] = pointing_down(HOME_ANGLE + np.pi), corner
+        joints = self.controller.joints_at(np.array(stations.pose(self._world @ tip)), np.array(self._home))
+        assert joints is not None
+        state.q = joints
+
+    def put_board(self, place: str) -> None:
+        """The board is seen face on where it is in the tool and the arm at :data:`PLACES` ``board``."""
+        self._board_carried = place == "tool"
+        self._board = None
+        if place == "floor":
+            self._board = LYING @ _moved(-BOARD.corners().mean(0))
+        elif place == "tool":
+            flange = np.eye(4)
+            flange[:3, :3] = pointing_down(HOME_ANGLE + np.pi)
+            facing = np.eye(4)
+            facing[:3, :3] = flange[:3, :3].T @ self.robot.camera.pose[:3, :3]
+            facing[:3, 3] = BRACKET
+            self._board = facing @ _moved(-BOARD.corners().mean(0))
+
+    def offset(self) -> tuple[float, float]:
+        assert self._board is not None
+        tip = (np.linalg.inv(self._world) @ stations.matrix(self.controller.tip()))[:3, 3]
+        corners = BOARD.corners() @ self._board[:3, :3].T + self._board[:3, 3]
+        away = tip - corners
+        nearest = away[np.argmin(np.linalg.norm(away[:, :2], axis=1))]
+        return float(np.linalg.norm(nearest[:2])), float(nearest[2])
+
+    def error(self, camera: Float[np.ndarray, "4 4"]) -> float:
+        points = bin_points(self._world, (self.robot.workspace.width, self.robot.workspace.length))
+        true = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(self._world @ self.robot.camera.pose).T
+        return float(np.sqrt((((true @ camera.T)[:, :3] - points) ** 2).sum(1).mean()))
 
     def step(self) -> None:
         """One timestep of everything that is not at rest, and an image when it is time for one."""
@@ -169,8 +264,20 @@ class _Cell:
 
     def _shoot(self) -> None:
         """An image with the sensor's noise, without the arm in it: at home it is out of view."""
-        observation = self.robot.observe()
-        write_pair(self._folder / "camera", f"{self._shots:06}", observation.color, observation.depth, 1e-4)
+        if self._view is None or self.robot.scene.bodies:
+            self._view = self.robot._look()  # an empty bin always looks the same
+        color, depth, body = self._view
+        camera = self.robot._present_camera
+        if self._board is not None:
+            carrier = np.eye(4)
+            if self._board_carried:
+                tip = np.linalg.inv(self._world) @ stations.matrix(self.controller.tip())
+                carrier = tip @ np.linalg.inv(stations.matrix(self.controller.state.tcp))
+            pose = np.linalg.inv(camera.pose) @ carrier @ self._board
+            color, depth = with_board(color, depth, BOARD, pose, camera.intrinsics - CENTRE)
+        glass = np.isin(body, [b.id for b in self.robot.scene.bodies if b.transparent])
+        sensed = camera.sense(depth, glass, self.robot._noise)
+        write_pair(self._folder / "camera", f"{self._shots:06}", color, sensed, 1e-4)
         self._shots += 1
         for old in (self._folder / "camera").glob(f"{self._shots - KEPT:06}.*"):
             old.unlink()
@@ -180,10 +287,9 @@ class _Cell:
         states = self.robot.simulation.client.getJointStates(arm.body, [arm.joint_index[name] for name in JOINTS])
         return tuple(float(state[0]) for state in states)  # type: ignore[return-value]
 
-    def _write_station(self, host: str) -> None:
-        robot, camera = self.robot, self.robot.camera
-        rows, cols = camera.shape
-        intrinsics = camera.intrinsics - CENTRE
+    def _describe_camera(self) -> None:
+        camera = self.robot.camera
+        (rows, cols), intrinsics = camera.shape, camera.intrinsics - CENTRE
         describe(
             self._folder / "camera",
             Description(
@@ -197,16 +303,19 @@ class _Cell:
                 depth_scale=1e-4,
             ),
         )
+
+    def _write_station(self, host: str) -> None:
+        robot, camera = self.robot, self.robot.camera
+        rows, cols = camera.shape
         color, depth, _ = robot._look()
-        np.savez_compressed(self._folder / "background.npz", color=color, depth=depth, intrinsics=intrinsics)
-        world = np.diag([-1.0, -1.0, 1.0, 1.0])  # the controller's base is turned by half a turn against the simulated world
-        world[:3, 3] = np.array([1, 1, -1]) * robot._config.base
+        background = {"color": color, "depth": depth, "intrinsics": camera.intrinsics - CENTRE}
+        np.savez_compressed(self._folder / "background.npz", allow_pickle=False, **background)
         x, y = robot.workspace.width / 2, robot.workspace.length / 2
-        corners: list[stations.Point] = [tuple(world @ [*corner, 0, 1])[:3] for corner in ((-x, y), (-x, -y), (x, y))]
+        corners: list[stations.Point] = [tuple(self._world @ [x * i, y * j, 0, 1])[:3] for i, j, _ in CORNERS.values()]
         calibration = CalibrationSection(
             serial=SERIAL,
             size=(cols, rows),
-            camera=tuple(tuple(row) for row in (world @ camera.pose).tolist()),
+            camera=(self._world @ camera.pose).tolist(),
             error=0.0,
             views=25,
             date="2026-01-01",
@@ -224,6 +333,12 @@ class _Cell:
         )
 
 
+def _moved(by: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    pose = np.eye(4)
+    pose[:3, 3] = by
+    return pose
+
+
 def _tool(tool: EndEffector) -> VacuumOutput:
     assert isinstance(tool, SuctionCup), "a gripper has no stand-in at the controller's outputs yet"
     return VacuumOutput(
@@ -231,9 +346,9 @@ def _tool(tool: EndEffector) -> VacuumOutput:
     )
 
 
-def _serve(host: str, folder: Path, overrides: list[str], pipe: Connection) -> None:
+def _serve(host: str, folder: Path, overrides: list[str], unboxed: bool, pipe: Connection) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    cell = _Cell(host, folder, overrides)
+    cell = _Cell(host, folder, overrides, unboxed)
     pipe.send("ready")
     last, behind = time.monotonic(), 0.0
     while True:

@@ -276,8 +276,8 @@ class Controller:
             "timestamp": time.monotonic,
             "target_q": lambda: state.q,
             "actual_q": lambda: state.q,
-            "actual_TCP_pose": self._tip,
-            "target_TCP_pose": self._tip,
+            "actual_TCP_pose": self.tip,
+            "target_TCP_pose": self.tip,
             "actual_TCP_force": lambda: state.force,
             "robot_mode": lambda: state.robot_mode,
             "safety_mode": lambda: state.safety_mode,
@@ -330,7 +330,7 @@ class Controller:
             return
         if command in (30, 46):  # inverse kinematics, near given joints or the present ones
             near = np.array(self._doubles(6, 6)) if command == 30 else state.q
-            joints = self._joints_at(np.array(self._doubles(0, 6)), near)
+            joints = self.joints_at(np.array(self._doubles(0, 6)), near)
             if joints is None:
                 self._script_dies()  # as URScript's get_inverse_kin does
                 return
@@ -345,21 +345,21 @@ class Controller:
         elif command in (33, 34):
             self._stop_moving()
         elif command == 36:
-            reachable = self._joints_at(np.array(self._doubles(0, 6)), state.q) is not None
+            reachable = self.joints_at(np.array(self._doubles(0, 6)), state.q) is not None
             self._set("output_int_register_1", int(reachable))
         elif command == 37:
             self._set("output_int_register_1", 1)
         elif command == 40:
             self._return(state.tcp)
         elif command == 43:
-            self._return(self._tip())
+            self._return(self.tip())
         elif command == 47:
             self._set("output_int_register_1", int(self._move is None))
         elif command in (52, 53):
             state.freedrive = command == 52
         elif command in (60, 61):
             near = np.array(self._doubles(6, 6)) if command == 61 else state.q
-            self._set("output_int_register_1", int(self._joints_at(np.array(self._doubles(0, 6)), near) is not None))
+            self._set("output_int_register_1", int(self.joints_at(np.array(self._doubles(0, 6)), near) is not None))
         elif command in UNANSWERED:
             return
         elif command == 255:
@@ -373,7 +373,7 @@ class Controller:
         self.state.speed = speed
         if command == 3:
             target[2] += self.state.off_by
-        joints = target if command in (1, 4) else self._joints_at(target, self.state.q)
+        joints = target if command in (1, 4) else self.joints_at(target, self.state.q)
         if joints is None:
             self._script_dies()
             return
@@ -381,8 +381,8 @@ class Controller:
         if command in (1, 2):
             self._move = _JointMove(self.state.q, joints, speed, background)
         else:
-            goal = target if command == 3 else self._tip(joints)
-            self._move = _LineMove(self._tip(), goal, speed, background, self._joints_at, self.state.q)
+            goal = target if command == 3 else self.tip(joints)
+            self._move = _LineMove(self.tip(), goal, speed, background, self.joints_at, self.state.q)
         if background:
             self._operation = (self._operation + 1) % 128
             self._report_progress(running=True)
@@ -397,12 +397,12 @@ class Controller:
         self._changes = (self._changes + 1) % 128
         self._set("output_int_register_2", (self._operation << 24) + (self._changes << 16) + (running << 15))
 
-    def _tip(self, joints: np.ndarray | None = None) -> np.ndarray:
+    def tip(self, joints: np.ndarray | None = None) -> np.ndarray:
         """Pose of the tool's tip."""
         flange = np.array(ur5.forward_kinematics(*(self.state.q if joints is None else joints)))
         return np.array([*pose(flange @ matrix(self.state.tcp))])
 
-    def _joints_at(self, tip: np.ndarray, near: np.ndarray) -> np.ndarray | None:
+    def joints_at(self, tip: np.ndarray, near: np.ndarray) -> np.ndarray | None:
         """The joints nearest to given ones with the tip at a pose; None where there are none."""
         flange = matrix(tip) @ np.linalg.inv(matrix(self.state.tcp))
         found = [near + (np.array(q) - near + np.pi) % (2 * np.pi) - np.pi for q in ur5.inverse_kinematics(flange)]

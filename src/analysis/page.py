@@ -146,6 +146,8 @@ def _outcome(run: Run) -> str:
     told = []
     phases = {"zero_shot": "zero-shot"} if run.result.eval.repeated else OUTCOMES
     for phase, words in phases.items():
+        if run.result.phase(phase) is None:
+            continue
         counts = (f"{'/'.join(map(str, run.counts(phase, split)))} {split}" for split in SPLITS)
         told.append(f"{words} {', '.join(counts)}")
     return "; ".join(told)

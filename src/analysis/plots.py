@@ -171,12 +171,13 @@ def zero_shot(comparison: Comparison) -> Drawn:
 
 
 def _by_source(comparison: Comparison, measures: Sequence[str], when: str) -> Drawn:
-    figure, grid = plt.subplots(
-        1, 2, figsize=(10, 0.9 + 0.36 * len(comparison.groups)), sharex=True, sharey=True, layout="constrained"
-    )
-    places = np.arange(len(comparison.groups))[::-1]
+    groups = [group for group in comparison.groups if rates(group, measures[0])]
+    if not groups:
+        return None
+    figure, grid = plt.subplots(1, 2, figsize=(10, 0.9 + 0.36 * len(groups)), sharex=True, sharey=True, layout="constrained")
+    places = np.arange(len(groups))[::-1]
     for axes, measure in zip(grid, measures, strict=True):
-        for place, group in zip(places, comparison.groups, strict=True):
+        for place, group in zip(places, groups, strict=True):
             color, style = look(comparison, group)
             each = rates(group, measure)
             mean, error = dots([each])
@@ -187,13 +188,13 @@ def _by_source(comparison: Comparison, measures: Sequence[str], when: str) -> Dr
                     published, place - 0.25, "*", color="none", markeredgecolor="#1d2327", markersize=8, label="the paper"
                 )
         axes.set(xlim=(-0.02, 1.02), title=f"{measure.split('_')[-1]} objects", xlabel=f"success rate {when}")
-        axes.set_ylim(-0.6, len(comparison.groups) - 0.4)
-        axes.set_yticks(places, [group.name for group in comparison.groups])
+        axes.set_ylim(-0.6, len(groups) - 0.4)
+        axes.set_yticks(places, [group.name for group in groups])
         axes.grid(axis="y", visible=False)
     if stars := grid[0].get_legend_handles_labels()[0]:
         figure.legend(stars[:1], ["the paper"], loc="outside lower center")
-    told = "; ".join(f"{group.name} {np.mean(rates(group, measures[0])):.2f}" for group in comparison.groups)
-    caption = f"Points are means over seeds, ticks above them the seeds. {bar_words(comparison.groups)}"
+    told = "; ".join(f"{group.name} {np.mean(rates(group, measures[0])):.2f}" for group in groups)
+    caption = f"Points are means over seeds, ticks above them the seeds. {bar_words(groups)}"
     return figure, caption, f"Success rate {when} by source and transfer. On unseen objects: {told}."
 
 

@@ -75,13 +75,14 @@ class Run:
         return {key: str(value) for key, value in self.result.choices.items() if key != "seed"}
 
     def counts(self, phase: str, split: Split) -> tuple[int, int]:
-        """Successes and attempts."""
-        counts = self.result.phase(phase)[split]
-        return counts.successes, counts.attempts
+        """Successes and attempts; (0, 0) if it was not evaluated then."""
+        evaluation = self.result.phase(phase)
+        return (evaluation[split].successes, evaluation[split].attempts) if evaluation else (0, 0)
 
     def scores(self, phase: str, split: Split) -> list[float]:
-        """Success rate of each test run."""
-        return [run.success_rate for run in self.result.phase(phase)[split].runs]
+        """Success rate of each test run; empty if it was not evaluated then."""
+        evaluation = self.result.phase(phase)
+        return [run.success_rate for run in evaluation[split].runs] if evaluation else []
 
     @property
     def learning(self) -> tuple[int, int]:
@@ -157,6 +158,8 @@ def _once(places: list[Path]) -> list[Path]:
 def _read(folder: Path, place: str, notices: list[str]) -> Run:
     result = read_result(folder / "result.json")
     config = _config(folder)
+    if result.earlier_versions:
+        notices.append(f"{place} was begun by another version of the code or of its packages than the one that finished it.")
     if config is None:
         notices.append(f"{place} has no readable .hydra/config.yaml: its protocol is unknown, so it is kept apart.")
     attempts = _attempts(folder, place, result, notices)

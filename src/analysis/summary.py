@@ -111,7 +111,8 @@ def _row(comparison: Comparison, group: Group) -> Row:
     for measure in (*MEASURES, LEARNING):
         row |= {f"{measure}_{part}": text for part, text in _measured(group, measure).items()}
     if group.learned:
-        row |= {f"{gain}_{part}": text for gain, pair in GAINS.items() for part, text in _gained(group, *pair).items()}
+        known = {gain: pair for gain, pair in GAINS.items() if _rates(group.runs, pair[1])}
+        row |= {f"{gain}_{part}": text for gain, pair in known.items() for part, text in _gained(group, *pair).items()}
     scores = scores_of(group)
     interval = interquartile_interval([scores]) if len(scores) >= ENOUGH else (None, None)
     row |= dict(zip(IQM, map(number_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))

@@ -27,10 +27,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--checkpoint", type=Path, metavar="F", help="default: models/<primitive>.safetensors")
     parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="default: demo/")
     parser.add_argument("--no-film", action="store_true", help="pictures only, which is several times faster")
+    parser.add_argument("--dry-run", action="store_true", help="with a real robot: stop 10 cm above each pick")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration, as for train.py")
     args = parser.parse_intermixed_args(arguments)
     with user_errors_end_the_program():
-        clear(args.overrides, args.checkpoint, args.out, not args.no_film)
+        overrides = [*args.overrides, "robot.dry_run=true"] if args.dry_run else args.overrides
+        clear(overrides, args.checkpoint, args.out, not args.no_film)
 
 
 def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bool) -> tuple[int, int]:

@@ -42,6 +42,10 @@ class Collection:
             background=self.background,
         )
 
+    def last(self, count: int) -> Collection:
+        """The last ``count`` observations."""
+        return Collection({name: values[-count:] for name, values in self.arrays.items()}, self.background)
+
     def save(self, path: Path) -> None:
         """Write atomically."""
         empty = {f"background_{k}": getattr(self.background, k) for k in ("color", "height", "valid")}

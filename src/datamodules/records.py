@@ -53,8 +53,14 @@ class Records:
 
     def load(self, name: str) -> Attempt | None:
         """The attempt of that name; None if there is none."""
-        if not self._path(name).exists():
-            return None
+        return self.read(name) if self._path(name).exists() else None
+
+    def read(self, name: str) -> Attempt:
+        """The same.
+
+        Raises:
+            FileNotFoundError: There is none.
+        """
         with np.load(self._path(name)) as arrays:
             facts = json.loads(str(arrays["facts"]))
             heightmap = Heightmap(*(arrays[f"map_{key}"] for key in MAPS))
@@ -75,3 +81,8 @@ def training(step: int) -> str:
 def testing(phase: str, step: int, policy: str, number: int) -> str:
     """Name of an attempt of an evaluation, numbered from 1 in each."""
     return f"{phase}-{step:05}-{policy}-{number:03}"
+
+
+def collecting(scene: int, number: int) -> str:
+    """Name of an interaction while observations are collected; both numbers from 0."""
+    return f"scene-{scene:05}-{number:03}"

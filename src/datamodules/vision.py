@@ -39,7 +39,7 @@ class VisionDataModule(L.LightningDataModule):
         self._batch_size = batch_size
         self._order = torch.Generator().manual_seed(seed)
         labels = np.stack([task.label(collection.view(i), label_source) for i in range(len(collection))])
-        held_out = max(1, round(validation * len(collection)))
+        held_out = validation_count(len(collection), validation)
         self.positive_share = float(labels.mean())
         """Share of positive pixels over all observations."""
         tensors = [torch.from_numpy(a) for a in (collection.arrays["color"], collection.arrays["height"], labels)]
@@ -54,6 +54,11 @@ class VisionDataModule(L.LightningDataModule):
 
     def val_dataloader(self) -> DataLoader:
         return DataLoader(self._validation, self._batch_size, collate_fn=_as_batch)
+
+
+def validation_count(observations: int, share: float) -> int:
+    """How many of some observations are kept out of training: the last ones."""
+    return max(1, round(share * observations))
 
 
 def channel_statistics(collection: Collection) -> tuple[Tensor, Tensor]:

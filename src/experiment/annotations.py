@@ -103,4 +103,5 @@ def _is_plain(kind: Any) -> bool:
 
 def _words(message: str) -> str:
     message = message.removeprefix("Value error, ").replace("Input should", "it must")
-    return message.replace("greater than or equal to", "at least").replace("greater than", "above")
+    message = message.replace("greater than or equal to", "at least").replace("less than or equal to", "at most")
+    return message.replace("greater than", "above")

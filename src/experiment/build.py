@@ -6,10 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.utils import get_object, instantiate
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from see2act.datamodules.labels import Task
+from see2act.datamodules.observations import Observations
 from see2act.experiment.identity import code_hash, hash_of, packages, plain
 from see2act.policy import Policy
 from see2act.robot.simulated import SimulatedRobot
@@ -34,20 +35,28 @@ def make_robot(robot: dict[str, Any], workspace: Any, camera: Any, objects: Any,
     return built
 
 
-def attended(cfg: DictConfig) -> bool:
-    """Whether a person fills the bin of the configured robot; see :class:`see2act.robot.robot.Robot`."""
-    try:
-        return bool(getattr(get_object(str(cfg.robot.get("_target_"))), "attended", False))
-    except (ImportError, ValueError):
-        return False  # it cannot be built, and is refused for that
-
-
 def robot_factory(cfg: DictConfig, primitive: DictConfig) -> partial[SimulatedRobot]:
     """Builds the robot of a run with a primitive's end effector; picklable."""
     parts = plain(cfg, "robot", "workspace", "camera", "objects")
     if parts["robot"].get("layouts"):
         parts["robot"]["layouts"] = str(Path(parts["robot"]["layouts"]).absolute() / _layouts_key(cfg))
     return partial(make_robot, **parts, **plain(primitive, "end_effector"))
+
+
+def needs_observations(cfg: DictConfig) -> bool:
+    """Whether a run collects: a whole affordance model brings the statistics that are measured on observations otherwise."""
+    return not (cfg.task.affordance and "head" in cfg.transfer.parts)
+
+
+def observations(cfg: DictConfig) -> Observations:
+    """The folder that keeps what an attended robot has observed between random picks.
+
+    Raises:
+        ConfigError: What is in it has another grid than the configured workspace.
+    """
+    built = Observations(Path(cfg.collect.folder).expanduser())
+    built.check(instantiate(cfg.workspace))
+    return built
 
 
 def _layouts_key(cfg: DictConfig) -> str:

@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from see2act.errors import ConfigError
 from see2act.experiment.annotations import check_arguments, check_schema
+from see2act.experiment.attended import attended
 from see2act.experiment.config import one_line
 from see2act.experiment.identity import CHOICES, WORD
 from see2act.robot.types import RobotError
@@ -24,6 +25,8 @@ def impossible_condition(cfg: DictConfig) -> str | None:
     task, transfer = cfg.task.name, cfg.transfer.name
     if task == "none" and transfer != "none":
         return f"task=none has nothing to transfer, so transfer={transfer} is impossible: use transfer=none, or choose a task"
+    if cfg.task.affordance and not cfg.task.weights:
+        return f"task={task} starts from a run: name its folder with task.weights="
     if transfer == "none" and task != "none":
         return (
             f"transfer=none ignores task={task}: use task=none transfer=none for the baseline, or transfer=backbone|full|fixed"
@@ -84,11 +87,14 @@ def _check_names(cfg: DictConfig) -> None:
 
 def _check_robots(cfg: DictConfig) -> None:
     """Robots side by side all try before anything else happens."""
-    from see2act.experiment.build import attended
-
     robots, attempts = cfg.finetune.robots, cfg.finetune.attempts
     if attended(cfg):
         _check_real(cfg)
+    elif cfg.collect.folder is not None:
+        raise ConfigError(
+            f"collect.folder={cfg.collect.folder} is for a robot whose bin a person fills: leave it out, since observations of "
+            "a simulated one are in the cache"
+        )
     steps = [step for step in cfg.evaluate.at if step <= attempts]
     if attempts % robots or any(step % robots for step in steps):
         at = sorted({-(-step // robots) * robots for step in steps})
@@ -103,13 +109,12 @@ def _check_real(cfg: DictConfig) -> None:
     """What a robot that is not simulated cannot do."""
     for key, value, fix in (
         ("finetune.robots", 1, "one robot has one bin"),
-        ("collect.workers", 1, "one robot has one bin"),
         ("labels", "vision", "nobody knows the truth about a real bin"),
-        ("collect.primitive.name", cfg.primitive.name, "the arm has one tool"),
     ):
         if OmegaConf.select(cfg, key) != value:
-            option = f"primitive@collect.primitive={value}" if key == "collect.primitive.name" else f"{key}={value}"
-            raise ConfigError(f"robot=ur5_real needs {option}: {fix}")
+            raise ConfigError(f"robot=ur5_real needs {key}={value}: {fix}")
+    if not cfg.collect.folder:
+        raise ConfigError("collect.folder names no folder: leave it out, or name one that keeps the observations")
 
 
 def _check_model(cfg: DictConfig) -> None:
@@ -140,9 +145,9 @@ def _check_lengths(cfg: DictConfig) -> None:
 
 
 def _check_vision(cfg: DictConfig) -> None:
-    if cfg.task.weights and not (cfg.task.label or cfg.task.off_the_shelf):
+    if cfg.task.weights and not (cfg.task.label or cfg.task.off_the_shelf or cfg.task.affordance):
         raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
-    if cfg.task.weights and not Path(cfg.task.weights).is_file():
+    if cfg.task.weights and not cfg.task.affordance and not Path(cfg.task.weights).is_file():
         kind = "weights of that network" if cfg.task.off_the_shelf else "a run's checkpoints/vision.ckpt"
         raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of {kind}")
     floor = OmegaConf.select(cfg, "robot.bin.floor")
@@ -193,6 +198,8 @@ def check_run(cfg: DictConfig) -> None:
         raise ConfigError("robot.dry_run=true carries no pick through, so a run would try for ever: leave it to demo.py")
     for group in ("trainer", "logger", "collect.primitive"):
         check_arguments(OmegaConf.select(cfg, group), group)
+    if attended(cfg) and build.needs_observations(cfg):
+        build.observations(cfg)
     learns_to_see = cfg.task.label and not cfg.task.weights
     if learns_to_see:
         _check_shape(cfg)

@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import AfterValidator, ConfigDict, Field
 
 from see2act.errors import ConfigError
+from see2act.experiment.attended import attended
 from see2act.experiment.identity import WORD, config_hash
 from see2act.experiment.precision import fastest_precision
 
@@ -64,7 +65,10 @@ class TaskConfig:
     parts: list[str] = field(default_factory=list)
     """What this source can give: backbone, head."""
     weights: str | None = None
-    """A file to take instead of pre-training or downloading: a vision checkpoint, or torchvision's weights."""
+    """A file to take instead of pre-training or downloading: a vision checkpoint, or torchvision's weights. Of
+    ``task=affordance`` the folder of a finished run, or its ``checkpoints/model.safetensors``."""
+    affordance: bool = False
+    """Whether the weights are those of an affordance model, which has learned to pick and not only to see."""
     off_the_shelf: dict[str, Any] | None = None
     """By model ``_target_`` and arguments of a :class:`see2act.modules.weights.OffTheShelf`; null for tasks learned here."""
     optional: list[str] = field(default_factory=list)
@@ -117,6 +121,9 @@ class CollectConfig:
     per_scene: Count = MISSING
     seed: int = MISSING
     workers: Count = MISSING
+    folder: str | None = MISSING
+    """Where observations of a robot are kept whose bin a person fills, a file each. A later run takes the first of them, and
+    adds what it needs beyond; no new version discards them. null for a simulated robot, whose observations are in the cache."""
     primitive: PrimitiveConfig = field(default_factory=PrimitiveConfig)
 
 
@@ -184,6 +191,10 @@ class EvaluateConfig:
     __pydantic_config__ = NO_OTHER_KEYS
     runs: Count = MISSING
     at: list[NotNegativeInt] = MISSING
+    """Fine-tuning attempts after which the model is evaluated, besides the last one. A simulated robot evaluates before the
+    first one, too; one whose bin a person fills does so if 0 is among these."""
+    argmax: bool = MISSING
+    """Whether the last model is also evaluated with the plain argmax policy."""
     attempts: AttemptsConfig = field(default_factory=AttemptsConfig)
     scenes: Annotated[str, OneOf("evaluate", "develop")] = MISSING
 
@@ -241,10 +252,16 @@ class Config:
 
 
 def register() -> None:
-    """Make the schema and the hash known to Hydra; safe to call twice."""
+    """Make the schema and the resolvers of ``conf/`` known to Hydra; safe to call twice."""
     ConfigStore.instance().store("schema", Config)
     OmegaConf.register_new_resolver("config_hash", lambda _root_: config_hash(_root_), replace=True)
+    OmegaConf.register_new_resolver("if_attended", _if_attended, replace=True)
     OmegaConf.register_new_resolver("fastest_precision", fastest_precision, replace=True)
+
+
+def _if_attended(value: Any, otherwise: Any, *, _root_: DictConfig) -> Any:
+    """A default that is another one for a robot whose bin a person fills."""
+    return value if attended(_root_) else otherwise
 
 
 def composed(overrides: Sequence[str] = ()) -> DictConfig:

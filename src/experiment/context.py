@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 
 from see2act.datamodules.records import Records
 from see2act.experiment.attempts import AttemptsCsv
+from see2act.experiment.attended import attended
 from see2act.experiment.dashboard import Dashboard
 from see2act.experiment.progress import Progress
 
@@ -51,6 +52,12 @@ class RunContext:
     def attempts(self) -> int:
         """Fine-tuning attempts that the run makes."""
         return int(self.cfg.finetune.attempts) if self.cfg.transfer.finetune else 0
+
+    @property
+    def evaluated_at(self) -> list[int]:
+        """Fine-tuning attempts after which the model is evaluated; a person does not fill the bin before the first unasked."""
+        asked = {step for step in self.cfg.evaluate.at if step <= self.attempts}
+        return sorted({self.attempts, *asked} if attended(self.cfg) else {0, self.attempts, *asked})
 
     @property
     def title(self) -> str:

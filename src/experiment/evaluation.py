@@ -63,6 +63,7 @@ def evaluate(
     record: Callable[[Attempt, EvaluationRun], None],
     title: str = "evaluate",
     known: Mapping[tuple[Split, int], Sequence[Judged]] | None = None,
+    going_on: Policy | None = None,
 ) -> Evaluation:
     """Success rates on seen and unseen objects.
 
@@ -75,8 +76,8 @@ def evaluate(
         protocol: How many test runs and attempts.
         record: Called with each attempt.
         title: Of the progress bar.
-        known: By split and run, attempts of test runs that are not made again. Of an attended robot the last test run may be
-            unfinished: it goes on.
+        known: By split and run, attempts of test runs that are not made again.
+        going_on: The policy, with its memory, of the last one of these, where that was interrupted: it goes on.
     """
     known = known or {}
     most = protocol.runs * sum(protocol.attempts[split] for split in SPLITS)
@@ -87,11 +88,10 @@ def evaluate(
             for run in range(protocol.runs):
                 test = EvaluationRun(split, run, scene_seed(split, run, protocol.scenes))
                 judged: list[Judged] = list(known.get((split, run), ()))
-                if not judged or (robot.attended and (split, run) == list(known)[-1]):
-                    most_attempts = protocol.attempts[split]
-                    for done in one_test_run(
-                        robot, affordances, policy.fresh(), test.scene_seed, split, most_attempts, len(judged)
-                    ):
+                interrupted = going_on if known and (split, run) == list(known)[-1] else None
+                if interrupted or not judged:
+                    rule, most_attempts = interrupted or policy.fresh(), protocol.attempts[split]
+                    for done in one_test_run(robot, affordances, rule, test.scene_seed, split, most_attempts, len(judged)):
                         record(done, test)
                         judged.append(done.outcome)
                         bar.update()
@@ -112,10 +112,14 @@ def one_test_run(
 ) -> Iterator[Attempt]:
     """One test run on the scene of ``seed``: attempts until the bin is truly empty or ``attempts`` are spent.
 
-    With ``made`` attempts of an interrupted run it goes on in that scene, or, if the bin was changed meanwhile, in a new one.
+    With ``made`` attempts of an interrupted run, which the policy remembers, it goes on in that scene; or, if the bin was
+    changed meanwhile, in a new one.
     """
+    if made >= attempts:
+        return
     if not (made and robot.resume(seed, made)):
         robot.reset(seed, split)
+        policy.forget()
     for _ in range(attempts - made):
         if robot.bin_empty():
             return

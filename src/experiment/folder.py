@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig
 
 from see2act.errors import ConfigError
+from see2act.experiment.attended import attended
 from see2act.experiment.identity import config_hash, versions
 from see2act.files import read_json, sweep_up, write_json
 
@@ -22,11 +23,26 @@ log = logging.getLogger("see2act")
 
 def claim(folder: Path, cfg: DictConfig) -> None:
     """Write down whose folder it is: only the same configuration may finish or continue the run."""
-    write_json(folder / "run.json", _identity(cfg) | {"versions": versions()})
+    earlier = earlier_versions(folder)
+    if begun_by_another_version(folder):
+        began, now = _begun(folder)["versions"], versions()
+        changed = [name for name in {**began, **now} if began.get(name) != now.get(name)]
+        changes = ", ".join(f"{name} {began.get(name)} -> {now.get(name)}" for name in changed)
+        log.warning("another version began this run, which goes on since its attempts cannot be made again: %s", changes)
+        earlier = [*earlier, began]
+    write_json(folder / "run.json", _identity(cfg) | {"versions": versions(), "earlier_versions": earlier})
+
+
+def earlier_versions(folder: Path) -> list[dict[str, str]]:
+    """Versions of code and packages that worked at the run before the one that claimed it last, oldest first."""
+    earlier: list[dict[str, str]] = _begun(folder).get("earlier_versions", [])
+    return earlier
 
 
 def refuse_foreign(folder: Path, cfg: DictConfig) -> None:
     """Refuse a folder that holds another run, or half a run that another version of the code began.
+
+    Half a run of an attended robot goes on all the same, since its attempts cannot be made again.
 
     Raises:
         ConfigError: It does.
@@ -35,11 +51,16 @@ def refuse_foreign(folder: Path, cfg: DictConfig) -> None:
     used = known or any((folder / name).exists() for name in ("result.json", "attempts.csv"))
     if used and {key: known.get(key) for key in _identity(cfg)} != _identity(cfg):
         raise ConfigError(f"{folder} holds a run of another configuration: choose another hydra.run.dir=, or move it away")
-    if begun_by_another_version(folder) and not (folder / "result.json").exists() and not cfg.force:
+    if half_of_another_version(folder, cfg) and not cfg.force:
         raise ConfigError(
             f"{folder} holds a run that another version of the code or of its packages began: force=true moves it aside and "
             "starts again"
         )
+
+
+def half_of_another_version(folder: Path, cfg: DictConfig) -> bool:
+    """Whether half a run is there that this version of the code must not go on with."""
+    return begun_by_another_version(folder) and not (folder / "result.json").exists() and not attended(cfg)
 
 
 def begun_by_another_version(folder: Path) -> bool:

@@ -27,6 +27,13 @@ LOCAL_TRAINER = ("logger", "log_every_n_steps", "num_sanity_val_steps")
 """The same among the trainer's keys, with everything that starts with ``enable_``, the processor, and one device."""
 LOCAL_ROBOT = ("video", "layouts")
 """The same among the robot's keys."""
+MODEL = Path("checkpoints", "model.safetensors")
+"""A run's fine-tuned model, from its folder."""
+LATER: dict[str, Any] = {
+    **{"task.affordance": False, "collect.folder": None, "evaluate.argmax": True},
+    **{"camera.randomize": False, "robot.latency": 0.0},
+}
+"""Keys that came later, with the value that leaves a run as it was before them: then they do not change its hash."""
 CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
 """Groups whose names a result has."""
 WORD = r"\w+"
@@ -51,6 +58,11 @@ def config_hash(cfg: DictConfig) -> str:
     deciding["collect"].pop("workers")
     deciding["robot"] = deciding_robot(cfg)
     deciding["trainer"] = deciding_trainer(cfg)
+    if not deciding["camera"].get("randomize"):
+        deciding["camera"].pop("randomization", None)  # ranges that nothing is drawn from
+    for group, key in (name.split(".") for name in LATER):
+        if deciding[group].get(key) == LATER[f"{group}.{key}"]:
+            deciding[group].pop(key)
     return hash_of(deciding)
 
 
@@ -186,12 +198,18 @@ def _spec(name: str) -> ModuleSpec | None:
     return None
 
 
+def weights_file(weights: str) -> Path:
+    """The file that ``task.weights`` names: itself, or the model of the run whose folder it is."""
+    path = Path(weights)
+    return path / MODEL if path.is_dir() else path
+
+
 def _digests_of_files(config: dict[str, Any]) -> dict[str, Any]:
     """Plain configuration with digests in place of the paths of weights and meshes: what they hold decides."""
     config = {key: dict(value) if isinstance(value, dict) else value for key, value in config.items()}
     task, objects = config.get("task", {}), config.get("objects", {})
-    if task.get("weights") and Path(task["weights"]).is_file():
-        task["weights"] = hashlib.sha256(Path(task["weights"]).read_bytes()).hexdigest()
+    if task.get("weights") and (file := weights_file(task["weights"])).is_file():
+        task["weights"] = hashlib.sha256(file.read_bytes()).hexdigest()
     folder = Path(objects.get("path") or "nowhere").expanduser()
     if folder.is_dir():
         digest = hashlib.sha256()

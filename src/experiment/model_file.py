@@ -21,16 +21,18 @@ from safetensors.torch import save as serialized
 from torch import Tensor
 
 from see2act.errors import UserError
-from see2act.experiment.identity import config_hash, deciding_robot
+from see2act.experiment.identity import MODEL, config_hash, deciding_robot
 from see2act.files import replacing
 from see2act.modules.affordance import affordances
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import Rotations
 
-FILE = "model.safetensors"
+FILE = MODEL.name
 """Its name among a run's checkpoints."""
 CONFIG, HASH = "see2act.config", "see2act.config_hash"
 """Names in the file's metadata."""
+FITTING = ("model.name", "model.network", "primitive.end_effector", "workspace.pixel")
+"""Keys that a run must share with the one whose model it starts from."""
 WITHOUT = ("hydra", "paths", "logger")
 """Keys of the configuration that say nothing about the model."""
 
@@ -111,12 +113,35 @@ def load(path: Path, primitive: str | None = None) -> TrainedModel:
     return model
 
 
+def load_fitting(path: Path, cfg: DictConfig) -> TrainedModel:
+    """The same, of a model that a run can start from: with the run's network, tool and size of a pixel.
+
+    Raises:
+        ModelFileError: As :func:`load`; or one of these is another.
+    """
+    model = load(path, cfg.primitive.name)
+    for key in FITTING:
+        if other := _difference(key, *(OmegaConf.select(config, key) for config in (model.config, cfg))):
+            raise ModelFileError(
+                f"{path} learned with {other}: type the same model=, primitive= and workspace= as for the run that it is of"
+            )
+    return model
+
+
 def is_model(path: Path) -> bool:
     """Whether a file is one that :func:`save` wrote."""
     try:
         return CONFIG in _metadata(path)
     except (SafetensorError, OSError):
         return False
+
+
+def _difference(key: str, theirs: Any, ours: Any) -> str | None:
+    """The first key below this one that has two values, in words; None if there is none."""
+    if not (OmegaConf.is_dict(theirs) and OmegaConf.is_dict(ours)):
+        return f"{key}={theirs}, not {ours}" if theirs != ours else None
+    below = (_difference(f"{key}.{name}", theirs.get(name), ours.get(name)) for name in {**theirs, **ours})
+    return next(filter(None, below), None)
 
 
 def _model(metadata: Mapping[str, str], state: dict[str, Tensor]) -> TrainedModel:

@@ -146,18 +146,20 @@ class RunResult(Record):
     """Names of the configuration's choices, and the seed."""
     config_hash: str
     versions: dict[str, str]
+    earlier_versions: tuple[dict[str, str], ...] = ()
+    """Those that worked at it before, oldest first, where a run of an attended robot was continued by another version."""
     commit: str | None = None
     seconds: dict[str, float]
     """Wall time by stage."""
     evaluation_share: float = 0.0
     """Of these seconds."""
     vision: VisionQuality | None = None
-    zero_shot: Evaluation
-    """Before the first attempt."""
+    zero_shot: Evaluation | None = None
+    """Before the first attempt; None where a person would have had to fill the bin for it and was not asked to."""
     eval: Evaluation
     """After the last attempt."""
-    eval_argmax: Evaluation
-    """The same with the plain argmax policy."""
+    eval_argmax: Evaluation | None = None
+    """The same with the plain argmax policy; None where it was not asked for."""
     evals: tuple[StepEvaluation, ...]
     curve: tuple[Block, ...]
 
@@ -169,7 +171,7 @@ class RunResult(Record):
             raise ValueError(f"seed {self.choices.get('seed')} is no number")
         if not self.versions:
             raise ValueError("versions are missing")
-        points = [*(self.phase(name) for name in PHASES), *self.evals]
+        points = [*filter(None, map(self.phase, PHASES)), *self.evals]
         if len({len(point[split].runs) for point in points for split in SPLITS}) > 1:
             raise ValueError("its evaluations have different numbers of test runs")
         if [block.step for block in self.curve] != [*accumulate(block.attempts for block in self.curve)]:
@@ -184,9 +186,9 @@ class RunResult(Record):
         """Of fine-tuning."""
         return int(self.choices["seed"])
 
-    def phase(self, name: str) -> Evaluation:
-        """One of ``PHASES``."""
-        evaluation: Evaluation = getattr(self, name)
+    def phase(self, name: str) -> Evaluation | None:
+        """One of ``PHASES``; None if it was not evaluated then."""
+        evaluation: Evaluation | None = getattr(self, name)
         return evaluation
 
     @property

@@ -18,11 +18,14 @@ from see2act.datamodules.collect import Collection
 from see2act.datamodules.records import testing
 from see2act.errors import TransferError
 from see2act.experiment import attempts, build, charts, figures, model_file
+from see2act.experiment.attended import attended
 from see2act.experiment.context import RunContext
 from see2act.experiment.dashboard import Dashboard
+from see2act.experiment.folder import earlier_versions
 from see2act.experiment.identity import CHOICES, commit, config_hash, versions
+from see2act.experiment.refills import refills
 from see2act.experiment.results import RunResult, StepEvaluation, VisionQuality, curve, write_result
-from see2act.experiment.stages.collect import collected, held_out
+from see2act.experiment.stages.collect import collected, held_out, scenes_left
 from see2act.experiment.stages.evaluate import evaluate_argmax
 from see2act.experiment.stages.finetune import finetune
 from see2act.experiment.stages.pretrain import QUALITY, VisionCheckpoint, vision_model
@@ -60,8 +63,11 @@ def _stages(context: RunContext) -> RunResult:
     def make_trainer(**more: Any) -> L.Trainer:
         return build.trainer(cfg, context.folder, context.dashboard.logger, **more)
 
+    collects = build.needs_observations(cfg)
+    if attended(cfg):
+        log.info(refills(context, scenes_left(cfg) if collects else 0))
     with _stage(context, "collect"):
-        collection = collected(cfg)
+        collection = collected(cfg) if collects else None
     with _stage(context, "pretrain"):
         vision = vision_model(cfg, collection, make_trainer)
         _keep_vision_model(context, vision)
@@ -93,7 +99,7 @@ def _stage(context: RunContext, name: str) -> Iterator[None]:
 
 
 def _keep_vision_model(context: RunContext, vision: VisionCheckpoint | None) -> None:
-    if vision is None:
+    if vision is None or context.cfg.task.affordance:
         return
     if set(QUALITY) <= set(vision):
         context.progress.vision = VisionQuality(**{key: vision[key] for key in QUALITY})
@@ -102,10 +108,10 @@ def _keep_vision_model(context: RunContext, vision: VisionCheckpoint | None) -> 
         torch.save(vision, partial)
 
 
-def _draw_seeing(context: RunContext, collection: Collection, vision: VisionCheckpoint | None) -> None:
+def _draw_seeing(context: RunContext, collection: Collection | None, vision: VisionCheckpoint | None) -> None:
     """Labels, and what the vision model makes of other scenes: there to be looked at while the robot learns."""
     cfg, out, count = context.cfg, context.figures, context.cfg.figures.scenes
-    if cfg.task.label is not None:
+    if cfg.task.label is not None and collection:
         figures.labels(collection, build.task(cfg), cfg.labels, cfg.task.name, count, out / "labels.png")
     if quality := context.progress.vision:
         assert vision is not None
@@ -123,7 +129,7 @@ def _draw_acting(
     charts.learning_curve(rows, out / "learning_curve.png", context.title)
     charts.diagnosis(rows, out / "diagnosis.png", context.title)
     models = {"before fine-tuning": before, "after fine-tuning": module}
-    if vision and (seeing := _whole(cfg, vision, before)):
+    if vision and not cfg.task.affordance and (seeing := _whole(cfg, vision, before)):
         models = {f"vision model: {cfg.task.name}": seeing, **models}
     robot = build.robot_factory(cfg, cfg.primitive)()
     try:
@@ -140,9 +146,9 @@ def _evaluated(context: RunContext, rows: Sequence[attempts.AttemptRow]) -> list
     """The first attempt of each test run of the last evaluation, from the records: a person need not fill the bin again."""
     first: dict[tuple[Split, int], str] = {}
     policy = context.cfg.policy.name
-    tested = [row for row in rows if (row.phase, row.policy, row.step) == ("eval", policy, context.attempts)]
+    tested = [row for row in rows if row.phase in attempts.TESTED and (row.policy, row.step) == (policy, context.attempts)]
     for k, row in enumerate(tested):
-        first.setdefault((row.split, row.run), testing("eval", row.step, policy, k + 1))
+        first.setdefault((row.split, row.run), testing(row.phase, row.step, policy, k + 1))
     loaded = [(split, context.records.load(name)) for (split, _), name in first.items()]
     return [(split, attempt) for split, attempt in loaded if attempt is not None]
 
@@ -161,18 +167,18 @@ def _whole(cfg: DictConfig, vision: VisionCheckpoint, before: AffordanceModule) 
 def _finish(context: RunContext) -> RunResult:
     cfg, progress = context.cfg, context.progress
     last, seconds = progress.evaluations[context.attempts], progress.seconds
-    assert progress.argmax is not None
     choices = {key: cfg[key].name for key in CHOICES}
     choices |= {"labels": cfg.labels, "seed": cfg.seed, "precision": cfg.precision, "motion": cfg.robot.get("motion")}
     result = RunResult(
         choices=choices,
         config_hash=config_hash(cfg),
         versions=versions(),
+        earlier_versions=tuple(earlier_versions(context.folder)),
         commit=commit(),
         seconds=seconds,
         evaluation_share=round(seconds.get("evaluate", 0.0) / max(sum(seconds.values()), 0.1), 3),
         vision=progress.vision,
-        zero_shot=progress.evaluations[0],
+        zero_shot=progress.evaluations.get(0),
         eval=last if context.attempts else last.model_copy(update={"repeated": True}),
         eval_argmax=progress.argmax,
         evals=tuple(StepEvaluation(step=step, **dict(evaluation)) for step, evaluation in sorted(progress.evaluations.items())),

@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 
 from see2act.experiment.checks import check_run, validate
 from see2act.experiment.folder import alone_in, claim, of_this_version, refuse_foreign, set_aside
-from see2act.experiment.results import PHASES, SPLITS, RunResult, read_result, wilson
+from see2act.experiment.results import PHASES, SPLITS, RunResult, SplitCounts, read_result, wilson
 
 log = logging.getLogger("see2act")
 
@@ -78,14 +78,15 @@ def _print(result: RunResult, folder: Path) -> None:
         table.add_column(column, no_wrap=True)
     names = ("zero-shot", "after fine-tuning", "after, argmax")
     for name, phase in zip(names, PHASES, strict=True):
-        cells = []
-        for split in SPLITS:
-            counts = result.phase(phase)[split]
-            low, high = wilson(counts.successes, counts.attempts)
-            cells.append(f"{counts.rate:.2f} \\[{low:.2f}, {high:.2f}] {counts.successes}/{counts.attempts}")
-        table.add_row(name, *cells)
+        evaluation = result.phase(phase)
+        table.add_row(name, *(_cell(evaluation[split]) if evaluation else "-" for split in SPLITS))
     console = Console(width=80)
     console.print(table)
     console.print(f"minutes: {sum(result.seconds.values()) / 60:.1f}", highlight=False)
     for name in ("result.json", "attempts.csv", "transfer.json", "figures", "checkpoints"):
         console.print(f"  {folder / name}", highlight=False, soft_wrap=True)
+
+
+def _cell(counts: SplitCounts) -> str:
+    low, high = wilson(counts.successes, counts.attempts)
+    return f"{counts.rate:.2f} \\[{low:.2f}, {high:.2f}] {counts.successes}/{counts.attempts}"

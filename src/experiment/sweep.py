@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from see2act.errors import DamagedFile, MissingWeights, UserError
 from see2act.experiment.checks import impossible_condition
-from see2act.experiment.folder import begun_by_another_version, of_this_version
+from see2act.experiment.folder import half_of_another_version, of_this_version
 from see2act.experiment.single import run_checked
 from see2act.files import replacing
 
@@ -90,7 +90,7 @@ def run_job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
         if not cfg.force and (duplicate := finished_elsewhere(folder, sweep)):
             link(duplicate, folder)
         result = folder / "result.json"
-        if not cfg.force and (not of_this_version(result) if result.exists() else begun_by_another_version(folder)):
+        if not cfg.force and (not of_this_version(result) if result.exists() else half_of_another_version(folder, cfg)):
             _note(folder, OTHER, "finished" if result.exists() else "begun, and not finished")
             return None
         return run_checked(cfg, folder)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy.spatial.transform import Rotation
 
+from see2act.robot.randomization import Light, Randomization
 from see2act.robot.simulation import Simulation
 from see2act.robot.types import NotNegative, RobotError
 
@@ -84,6 +86,10 @@ class Camera:
         focal: Focal length, pixels.
         noise: Errors of the depth.
         crop: First row, first column, number of rows and number of columns of the part that is rendered; None for all.
+        randomize: Whether every scene has another error of the camera, another light and another noise.
+        randomization: Their ranges.
+        light: What the scene is lit by.
+        depth_scale: The sensor's depth as a share of the true one: what is left of an error that a calibration corrects.
 
     Raises:
         RobotError: The image has no pixels, the focal length is not above 0, or the viewing direction is undefined.
@@ -98,6 +104,10 @@ class Camera:
     focal: float
     noise: DepthNoise
     crop: tuple[int, int, int, int] | None = None
+    randomize: bool = False
+    randomization: Randomization = field(default_factory=Randomization)
+    light: Light = field(default_factory=Light)
+    depth_scale: float = 1.0
 
     def __post_init__(self) -> None:
         if min(self.width, self.height) < 1 or self.focal <= 0:
@@ -124,17 +134,47 @@ class Camera:
     def cropped_to(self, points: Float[np.ndarray, "n 3"], margin: int = 4) -> Camera:
         """This camera, cropped to the part of its image that shows the given world points, plus a margin in pixels.
 
-        Not cropped if a point is behind the camera or no point is in view.
+        The part shows them from wherever :meth:`randomized` may put the camera. Not cropped if a point is behind the camera or
+        no point is in view.
         """
         whole = replace(self, crop=None)
         x, y, z = (np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(self.pose).T)[:, :3].T
         if z.min() < NEAR:
             return whole
         cols, rows = (whole.focal * axis / z + centre for axis, centre in zip((x, y), whole.intrinsics[:2, 2], strict=True))
+        if self.randomize:  # an angle takes more pixels away from the image's centre
+            obliquity = 1 + float(((x**2 + y**2) / z**2).max())
+            margin += int(np.ceil(self.focal * obliquity * self.randomization.parallax(float(z.min()))))
         top, left = (max(0, int(np.floor(v.min())) - margin) for v in (rows, cols))
         height = min(self.height, int(np.ceil(rows.max())) + margin) - top
         width = min(self.width, int(np.ceil(cols.max())) + margin) - left
         return replace(self, crop=(top, left, height, width)) if min(height, width) > 0 else whole
+
+    def randomized(self, rng: np.random.Generator) -> Camera:
+        """The camera as it really is in one scene: elsewhere, in another light, with other noise. Itself if not ``randomize``.
+
+        Its images are the ones that are taken. Whoever projects them only knows the pose of this one.
+        """
+        if not self.randomize:
+            return self
+        drawn = self.randomization.draw(rng)
+        turn = Rotation.from_rotvec(drawn.rotation).as_matrix()
+        position = self.position + drawn.position
+        noise = replace(
+            self.noise,
+            sigma=self.noise.sigma * drawn.sigma,
+            edge_rate=min(1.0, self.noise.edge_rate * drawn.edge_rate),
+            grazing_rate=min(1.0, self.noise.grazing_rate * drawn.grazing_rate),
+        )
+        return replace(
+            self,
+            position=_triple(position),
+            target=_triple(position + turn @ np.subtract(self.target, self.position)),
+            up=_triple(turn @ self.up),
+            noise=noise,
+            light=drawn.light,
+            depth_scale=self.depth_scale * drawn.depth_scale,
+        )
 
     @property
     def intrinsics(self) -> Float[np.ndarray, "3 3"]:
@@ -171,7 +211,7 @@ class Camera:
         sensed = self.noise(depth, self.incidence(depth), rng)
         if transparent.any():
             sensed[transparent & (rng.random(depth.shape) < self.noise.transparent_rate)] = 0
-        return sensed
+        return sensed * self.depth_scale
 
     def floor_depth(self) -> Float[np.ndarray, "h w"]:
         """Depth in metres at which each pixel's ray meets the plane z = 0; ``FAR`` where it does not."""
@@ -198,8 +238,15 @@ class Camera:
         client = simulation.client
         view = client.computeViewMatrix(self.position, self.target, self.up)
         rows, cols = self.shape
+        # The light is always given, since the renderer keeps the one that it was given last.
         _, _, color, z, body = client.getCameraImage(
-            cols, rows, view, self._projection(), shadow=0, renderer=client.ER_TINY_RENDERER
+            *(cols, rows, view, self._projection()),
+            lightDirection=self.light.direction,
+            lightColor=self.light.color,
+            lightAmbientCoeff=self.light.ambient,
+            lightDiffuseCoeff=self.light.diffuse,
+            shadow=0,  # it would be that of hidden bodies, too
+            renderer=client.ER_TINY_RENDERER,
         )
         z = np.asarray(z, np.float64).reshape(rows, cols)
         depth = (FAR * NEAR / (FAR - (FAR - NEAR) * z)).astype(np.float32)
@@ -227,6 +274,11 @@ def _slope(depth: np.ndarray, axis: int) -> np.ndarray:
     before = np.concatenate([np.take(steps, [0], axis), steps], axis)
     after = np.concatenate([steps, np.take(steps, [-1], axis)], axis)
     return np.where(np.abs(before) < np.abs(after), before, after)
+
+
+def _triple(vector: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

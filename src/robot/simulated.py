@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from see2act.robot import heightmap as hm
 from see2act.robot import urdf
@@ -60,6 +63,8 @@ class SimulatedRobot(Robot):
         motion: ``full`` simulates every timestep. ``fast`` jumps where the tool cannot touch anything: between home and the
             point above a pick, and from there to just above the first thing under the tool. It also jumps on the way up with
             an empty tool, so nothing is dragged along there. ``robot_seconds`` includes the jumps.
+        latency: Seconds until the robot reacts: a descent goes on for that long after its force was exceeded, and the tool
+            takes hold that much after its command. Rounded to timesteps.
         video: Whether :meth:`film` records; a frame takes 0.1 s. It also loads the arm's visual meshes and shows the table.
         layouts: Folder for settled scenes of this configuration; None drops each scene again.
 
@@ -79,6 +84,7 @@ class SimulatedRobot(Robot):
         bin: BinConfig,
         clearance: NotNegative,
         motion: str,
+        latency: Annotated[float, Ge(0), Le(1)] = 0.0,
         video: bool = False,
         layouts: str | None = None,
     ):
@@ -93,9 +99,12 @@ class SimulatedRobot(Robot):
         self.primitive = end_effector.primitive
         self.half_opening = end_effector.half_opening
         self.camera = camera.cropped_to(_corners(workspace, clearance))
+        """As it is known, for the projection of its images. In a scene it may be another: see :meth:`Camera.randomized`."""
+        self._present_camera = self.camera
         self.tool = end_effector
         self._config = arm
         self._clearance = clearance
+        self._latency_steps = round(latency / TIMESTEP)
         self._video = video
         self.simulation = Simulation()
         model = urdf.mount(urdf.ur5(), end_effector.urdf())
@@ -118,6 +127,7 @@ class SimulatedRobot(Robot):
         self.scene.paint_floor(generator("floor", scene_seed))
         self._mount()
         self._noise = generator("sensor", scene_seed)
+        self._present_camera = self.camera.randomized(generator("randomization", scene_seed))
 
     def _drop(self, scene_seed: int, split: Split, count: int | None) -> Layout:
         """Drop objects until they form a valid scene. The arm is not loaded, so the scene is the same for every tool."""
@@ -143,7 +153,10 @@ class SimulatedRobot(Robot):
         return self.scene.place(layout, count)
 
     def background(self) -> Heightmap:
-        """See :class:`Robot`. The image is taken once, without sensor noise."""
+        """See :class:`Robot`. The image is taken once, without sensor noise.
+
+        Nothing of it is randomized: it is of a day when the calibration was exact, and the light another one than today.
+        """
         if self._background is None:
             self._build()
             color, depth, _ = self._look()
@@ -153,11 +166,16 @@ class SimulatedRobot(Robot):
     def observe(self) -> Observation:
         color, depth, body = self._look()
         glass = np.isin(body, [b.id for b in self.scene.bodies if b.transparent])
-        sensed = self.camera.sense(depth, glass, self._noise)
+        sensed = self._present_camera.sense(depth, glass, self._noise)
         return Observation(self._heightmap(color, sensed), color, sensed)
 
     def truth(self) -> Truth:
+        """See :class:`Robot`. Without sensor noise, but with the errors of camera and depth scale that the scene has.
+
+        So the labels fit what is observed, cell by cell. What is shifted are the picks.
+        """
         color, depth, body = self._look()
+        depth = depth * self._present_camera.depth_scale
         points = hm.point_cloud(depth, self.camera.intrinsics, self.camera.pose)
         heightmap = hm.project(color, depth, points, self.workspace)
         ids = np.where(np.isin(body, [b.id for b in self.scene.bodies]), body, -1)
@@ -182,10 +200,11 @@ class SimulatedRobot(Robot):
         contact = _Contact()
         free = self._room_below_tool()
         down = arm.enter(down, sum(above[2] - arm.position(joints)[2] < free for joints in down))
-        blocked = arm.follow(down, until=lambda: self._note_contact(contact) > tool.contact_limit)
+        blocked = arm.follow(down, until=self._late(lambda: self._note_contact(contact) > tool.contact_limit))
         stopped = blocked and contact.wall > tool.contact_limit / 2  # a protective stop: the arm withdraws immediately
         engaged = False
         if not stopped:
+            arm.wait(self._latency_steps)
             tool.engage()
             engaged = tool.engaged()
             self._note_contact(contact)
@@ -222,7 +241,8 @@ class SimulatedRobot(Robot):
         return film(self.simulation, path)
 
     def _build(self) -> None:
-        """Load the empty bin and the arm."""
+        """Load the empty bin and the arm, with the camera as it is known."""
+        self._present_camera = self.camera
         self.simulation.clear()
         self.scene.build()
         self._mount()
@@ -234,7 +254,7 @@ class SimulatedRobot(Robot):
     def _look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Render the bin without the table and without the arm, which a real set-up would move out of view."""
         with self.simulation.hidden(self.arm.body, self.scene.table):
-            return self.camera.render(self.simulation)
+            return self._present_camera.render(self.simulation)
 
     def _heightmap(self, color: np.ndarray, depth: np.ndarray) -> Heightmap:
         points = hm.point_cloud(depth, self.camera.intrinsics, self.camera.pose)
@@ -245,6 +265,18 @@ class SimulatedRobot(Robot):
         z = float(self.tool.depth_at(np.array(pick.z))) + self.tool.length()
         above = max(self._clearance + self.tool.length(), z)
         return np.array([pick.x, pick.y, above]), np.array([pick.x, pick.y, z])
+
+    def _late(self, condition: Callable[[], bool]) -> Callable[[], bool]:
+        """Whether a condition held for the first time at least the latency ago. It is asked once every timestep."""
+        steps = 0  # since then
+
+        def noticed() -> bool:
+            nonlocal steps
+            holds = condition()
+            steps += holds or steps > 0
+            return steps > self._latency_steps
+
+        return noticed
 
     def _lift(self, pick: Pick, engaged: bool) -> None:
         start = self.arm.commanded_position

@@ -137,6 +137,31 @@ def test_nothing_is_said_to_be_gained_where_nothing_was_learned(make_run: MakeRu
     assert _row(runs, "normal", "full")["gain_unseen_mean"] == ""
 
 
+def test_what_was_evaluated_at_the_end_alone_has_a_dash_for_the_rest(make_run: MakeRun, runs: Path) -> None:
+    """As a robot whose bin a person fills is."""
+    for seed in (0, 1):
+        path = make_run(seed=seed, pictures=True) / "result.json"
+        result = json.loads(path.read_text())
+        result |= {"zero_shot": None, "evals": result["evals"][1:]}
+        del result["eval_argmax"]
+        path.write_text(json.dumps(result))
+    report(runs)
+    row = _row(runs, "normal", "full")
+    assert (row["after_unseen_mean"], row["seeds"]) == ("0.850", "0 1")
+    missing = ("zero_shot_unseen_mean", "zero_shot_seen_attempts", "argmax_seen_mean", "gain_unseen_mean", "gain_seen_lowest")
+    assert [row[column] for column in missing] == [""] * len(missing)
+    assert {path.stem for path in (runs / "figures").glob("*.png")} == {
+        "curves-suction",
+        "protocol-suction",
+        "transfer-suction",
+        "causes-suction",
+    }
+    page = (runs / "report.html").read_text()
+    assert not re.search(r"\bnan\b", page)
+    assert page.count('<span class="faint">\N{EN DASH}</span>') >= 4
+    assert "after fine-tuning 17/20 seen, 17/20 unseen." in page
+
+
 @pytest.mark.usefixtures("no_figures")
 def test_one_seed_has_no_interval(make_run: MakeRun, runs: Path) -> None:
     make_run()

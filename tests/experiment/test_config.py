@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import json
 import logging
@@ -85,7 +86,8 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
     base = config_hash(config())
     assert len(base) == 12
     local = ("seed=3", "logger=none", "paths.cache=elsewhere", "collect.workers=1", "force=true", "robot.video=true")
-    for same in (*local, "trainer.devices=[0]"):
+    off = ("camera.randomize=false", "camera.randomization.position=0.01", "robot.latency=0")
+    for same in (*local, *off, "trainer.devices=[0]", "evaluate.argmax=true"):
         assert config_hash(config(same)) == base
     for other in (
         "task=corner",
@@ -96,8 +98,22 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         "+trainer.gradient_clip_val=1.0",
         "trainer.devices=2",
         "trainer.devices=[0,1]",
+        "evaluate.argmax=false",
+        "camera.randomize=true",
+        "robot.latency=0.04",
     ):
         assert config_hash(config(other)) != base
+    on = partial(config, "camera.randomize=true")
+    assert config_hash(on("camera.randomization.position=0.01")) != config_hash(on())
+
+
+def test_keys_that_came_later_leave_the_hash_of_earlier_runs(config: Callable) -> None:
+    now = config("precision=fp32")
+    before = copy.deepcopy(now)
+    OmegaConf.set_struct(before, False)
+    for group, key in (("camera", "randomize"), ("camera", "randomization"), ("robot", "latency")):
+        del before[group][key]
+    assert config_hash(before) == config_hash(now)
 
 
 @pytest.mark.parametrize(
@@ -154,6 +170,9 @@ def test_hash_is_of_what_changes_results(config: Callable) -> None:
         ("logger=null", ["name an option", "logger=none"]),
         ("camera.target=[9,9,9]", ["sees nothing of the bin", "camera.target"]),
         ("camera.target=[0.45,0,0.54]", ["give no view", "position and target apart"]),
+        ("camera.randomization.position=3", ["camera.randomization.position=3", "at most 0.05"]),
+        ("camera.randomization.ambient=0.5", ["camera.randomization.ambient=0.5", "[least,most]"]),
+        ("robot.latency=40", ["robot.latency=40", "at most 1"]),
         ("camera.position=[a,b,c]", ["camera.position=['a', 'b', 'c']", "three numbers"]),
         ("robot.arm.tool_speed=0", ["robot.arm.tool_speed=0", "above 0"]),
         ("workspace.pixel=0.0035", ["102.86 pixels of 0.0035 m", "give 0.3605"]),

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from see2act.robot.gripper import DRIVER, FOLLOWERS, PADS
-from see2act.robot.simulated import SimulatedRobot
+from see2act.robot.simulated import SimulatedRobot, _Contact
+from see2act.robot.simulation import TIMESTEP
 from see2act.robot.types import Outcome, Pick
 
 
@@ -164,7 +165,8 @@ def test_fingers_that_squeeze_something_are_soon_at_rest(make_robot: Callable[..
     def counted(*args: object, **options: object) -> None:
         before = robot.simulation.steps
         wait(*args, **options)
-        waits.append(robot.simulation.steps - before)
+        if robot.simulation.steps > before:  # without latency there is no wait for it
+            waits.append(robot.simulation.steps - before)
 
     robot.arm.wait = counted
     assert _pick(robot, 0.0, 0.0).success
@@ -245,3 +247,35 @@ def test_the_descent_jumps_to_just_above_the_first_thing_under_the_tool(
     assert beside < 0.04
     if primitive == "suction":
         assert 0.045 < on_cube < 0.058
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.05])
+def test_a_descent_goes_on_for_the_latency_after_contact(make_robot: Callable[..., SimulatedRobot], seconds: float) -> None:
+    robot = make_robot("primitive=grasp", f"robot.latency={seconds}", "robot.arm.tool_speed=0.1", "robot.motion=full")
+    robot._build()
+    robot.scene._block((0.06, 0.02, 0.03), (0.0, 0.0, 0.03), (1, 0, 0))  # both jaws meet it
+    heights, over = [], []
+    note = robot._note_contact
+
+    def watch(contact: _Contact) -> float:
+        force = note(contact)
+        heights.append(robot.arm.commanded_position[2])
+        over.append(force > robot.tool.contact_limit)
+        return force
+
+    robot._note_contact = watch  # type: ignore[method-assign]
+    assert robot.execute(Pick(72, 72, 0.0, 0.0, 0.0, 0.0)).cause == "missed"  # it is no object
+    first, last = over.index(True), len(over) - 2  # the very last look is after the fingers have closed
+    assert last - first == round(seconds / TIMESTEP)
+    assert heights[first] - heights[last] == pytest.approx(0.1 * seconds, abs=5e-4)
+
+
+def test_the_tool_takes_hold_the_latency_after_its_command(make_robot: Callable[..., SimulatedRobot]) -> None:
+    took = []
+    for seconds in (0.0, 0.05):
+        robot = make_robot("primitive=suction", f"robot.latency={seconds}")
+        _place(robot, "cube", (0.0, 0.0, 0.03))
+        outcome = _pick(robot, 0.0, 0.0)
+        assert outcome.truth
+        took.append(outcome.robot_seconds)
+    assert took[1] - took[0] == pytest.approx(0.05, abs=1e-6)

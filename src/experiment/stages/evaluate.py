@@ -38,11 +38,11 @@ def evaluate_at(context: RunContext, module: AffordanceModule, step: int) -> Non
 
 
 def evaluate_argmax(context: RunContext, module: AffordanceModule) -> None:
-    """Evaluate the last model with the plain argmax policy, unless that is done already, or is the run's own policy."""
+    """Evaluate the last model with the plain argmax policy if that is asked for, is not done, and is not the run's own."""
     progress, policy = context.progress, build.policy(context.cfg)
     if not policy.suppress:
         progress.argmax = progress.evaluations[context.attempts].model_copy(update={"repeated": True})
-    elif progress.argmax is None:
+    elif context.cfg.evaluate.argmax and progress.argmax is None:
         progress.argmax = _Evaluation(context, module, policy.plain(), context.attempts).run()
     progress.save()
 
@@ -85,9 +85,8 @@ class _Evaluation:
         """The protocol on the robot. Its attempts are in the log by then."""
 
         def record(attempt: Attempt, test: EvaluationRun) -> None:
-            phase: Phase = "eval" if self._step else "zero_shot"
             place = Place(
-                phase,
+                self._phase,
                 split=test.split,
                 policy=self._policy.name,
                 run=test.run,
@@ -97,26 +96,43 @@ class _Evaluation:
                 primitive=self._context.cfg.primitive.name,
             )
             if robot.attended:
-                name = testing(phase, self._step, self._policy.name, len(self._rows) + 1)
-                self._context.records.save(name, attempt)
+                self._context.records.save(self._name(len(self._rows) + 1), attempt)
             self._rows.append(AttemptRow.of(attempt, place))
             self._context.log.append(self._rows[-1])
             watch(attempt)
 
+        going_on = None
         if robot.attended:
             known = self._interrupted()
+            going_on = self._remembering(known)
         title = f"evaluate at {self._step} ({self._policy.name})"
-        return evaluate(robot, self._module.affordances, self._policy, self._protocol, record, title, known)
+        return evaluate(robot, self._module.affordances, self._policy, self._protocol, record, title, known, going_on)
 
     def _interrupted(self) -> dict[tuple[Split, int], list[AttemptRow]]:
         """Attempts of this evaluation that were made before the run was interrupted."""
         runs: dict[tuple[Split, int], list[AttemptRow]] = {}
-        phase = "eval" if self._step else "zero_shot"
         for row in attempts.read(self._context.log.path):
-            if (row.phase, row.policy, row.step) == (phase, self._policy.name, self._step):
+            if (row.phase, row.policy, row.step) == (self._phase, self._policy.name, self._step):
                 runs.setdefault((row.split, row.run), []).append(row)
         self._rows = [row for rows in runs.values() for row in rows]
         return runs
+
+    def _remembering(self, runs: Mapping[tuple[Split, int], Sequence[AttemptRow]]) -> Policy:
+        """The policy as it was in the last test run, from the records of its attempts."""
+        policy, made = self._policy.fresh(), len(self._rows)
+        last = len([*runs.values()][-1]) if runs else 0
+        for number in range(made - last + 1, made + 1):
+            attempt = self._context.records.read(self._name(number))
+            policy.remember(attempt.choice, attempt.heightmap, attempt.outcome.success)
+        return policy
+
+    @property
+    def _phase(self) -> Phase:
+        return "eval" if self._step else "zero_shot"
+
+    def _name(self, number: int) -> str:
+        """Of the record of an attempt, numbered from 1."""
+        return testing(self._phase, self._step, self._policy.name, number)
 
     def _from_cache(self, robot: Robot) -> Evaluation:
         """Of a network that other runs have too, as all seeds of a model that was copied whole."""

@@ -17,6 +17,7 @@ from see2act.datamodules.trial_and_error import TrialAndError
 from see2act.errors import ConfigError
 from see2act.experiment import build
 from see2act.experiment.attempts import AttemptRow, Place
+from see2act.experiment.attended import attended
 from see2act.experiment.context import RunContext
 from see2act.experiment.stages.evaluate import evaluate_at
 from see2act.files import replacing
@@ -30,14 +31,15 @@ def finetune(context: RunContext, module: AffordanceModule, make_trainer: Callab
 
     Afterwards ``module`` has the parameters of the last step, and ``checkpoints/affordance.ckpt`` too.
     """
-    cfg, progress, last = context.cfg, context.progress, context.checkpoints / "last.ckpt"
+    progress, last = context.progress, context.checkpoints / "last.ckpt"
     kept = context.checkpoints / "affordance.ckpt"
     done = _attempts_in(last)
-    steps = sorted({0, context.attempts, *(step for step in cfg.evaluate.at if step <= context.attempts)})
+    steps = context.evaluated_at
     if not progress.finetuned:
         progress.forget_evaluations([step for step in steps if step > done])
     context.log.begin(lambda row: _counts(context, row, done))
-    evaluate_at(context, module, 0)
+    if 0 in steps:
+        evaluate_at(context, module, 0)
     if not context.attempts:
         with replacing(kept) as partial:
             torch.save({"state_dict": module.state_dict()}, partial)
@@ -60,7 +62,7 @@ def _counts(context: RunContext, row: AttemptRow, done: int) -> bool:
     """Whether a row of an interrupted run's log belongs to work that is not repeated."""
     if row.phase in ("finetune", "aborted"):
         return context.progress.finetuned or row.step <= done
-    if build.attended(context.cfg):
+    if attended(context.cfg):
         return True
     if row.policy != context.cfg.policy.name:
         return context.progress.argmax is not None

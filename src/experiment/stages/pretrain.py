@@ -1,4 +1,4 @@
-"""Stage 2: the vision model, given, from the cache, or trained now."""
+"""Stage 2: the vision model, given, from the cache, or trained now; or the affordance model of another run."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from see2act.datamodules.collect import Collection
 from see2act.datamodules.vision import VisionDataModule, channel_statistics
 from see2act.errors import ConfigError, TransferError
 from see2act.experiment import build, model_file
+from see2act.experiment.attended import attended
 from see2act.experiment.cache import once
-from see2act.experiment.identity import code_hash, deciding_trainer, hash_of, plain
+from see2act.experiment.identity import code_hash, deciding_trainer, hash_of, plain, weights_file
 from see2act.experiment.stages.collect import collection_key, held_out
 from see2act.files import replacing
 from see2act.modules import weights
@@ -35,18 +36,22 @@ VisionCheckpoint = dict[str, Any]
 """``task`` (its name), ``network`` (state dict), and of a model that was trained here ``QUALITY``."""
 
 
-def vision_model(cfg: DictConfig, collection: Collection, make_trainer: Callable[..., L.Trainer]) -> VisionCheckpoint | None:
-    """The checkpoint of the vision model; None for ``task=none``.
+def vision_model(
+    cfg: DictConfig, collection: Collection | None, make_trainer: Callable[..., L.Trainer]
+) -> VisionCheckpoint | None:
+    """The checkpoint of the source: a vision model, or an affordance model of another run; None for ``task=none``.
 
     Args:
         cfg: Of the run.
-        collection: What it learns from.
+        collection: What a vision model learns from; None where nothing was collected.
         make_trainer: Builds a trainer from what the configuration of the trainer leaves open.
     """
     if cfg.task.weights or cfg.task.off_the_shelf:
-        return {"task": cfg.task.name, "network": given_weights(cfg, *channel_statistics(collection))}
+        statistics = channel_statistics(collection) if collection else (None, None)
+        return {"task": cfg.task.name, "network": given_weights(cfg, *statistics)}
     if cfg.task.label is None:
         return None
+    assert collection is not None
     path = vision_path(cfg)
     made = once(path, lambda: _train(cfg, collection, make_trainer, path))
     log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
@@ -65,17 +70,22 @@ def vision_path(cfg: DictConfig) -> Path:
     return Path(cfg.paths.cache).absolute() / "vision" / f"{cfg.task.name}-{cfg.model.name}-{hash_of(keys)}.ckpt"
 
 
-def given_weights(cfg: DictConfig, mean: Tensor, std: Tensor) -> dict[str, Tensor]:
-    """State dict of a vision model from elsewhere.
+def given_weights(cfg: DictConfig, mean: Tensor | None, std: Tensor | None) -> dict[str, Tensor]:
+    """State dict of a model from elsewhere.
 
     Off-the-shelf weights lack statistics of the height; those are taken from our data (``mean``, ``std``: (4,)).
 
     Raises:
         TransferError: It cannot be read, is of another task, or is no vision model.
+        ModelFileError: Of ``task=affordance``: it is no affordance model, or one that does not fit.
     """
     task = cfg.task
+    if task.affordance:
+        return model_file.load_fitting(weights_file(task.weights), cfg).network.state_dict()
     if task.weights and model_file.is_model(Path(task.weights)):
-        raise TransferError(f"{task.weights} is a fine-tuned model: give the same run's checkpoints/vision.ckpt")
+        raise TransferError(
+            f"{task.weights} is a fine-tuned model: give the same run's checkpoints/vision.ckpt, or type task=affordance"
+        )
     if task.weights and (known := weights.task_of(Path(task.weights))) not in (None, task.name):
         raise TransferError(f"{task.weights} learned {known}, not {task.name}: type task={known}, or give another file")
     if not task.off_the_shelf:
@@ -83,6 +93,7 @@ def given_weights(cfg: DictConfig, mean: Tensor, std: Tensor) -> dict[str, Tenso
     source: weights.OffTheShelf = instantiate(task.off_the_shelf[cfg.model.name])
     state = source.read(task.weights, Path(cfg.paths.cache).absolute())
     for name, ours in (("normalization.mean", mean), ("normalization.std", std)):
+        assert ours is not None
         state[name] = torch.cat([state[name][:3], state[name][3:] if len(state[name]) == 4 else ours[3:]])
     return state
 
@@ -141,8 +152,9 @@ def held_out_labels(cfg: DictConfig, scenes: Collection) -> np.ndarray:
     task = build.task(cfg)
     labels = np.stack([task.label(scenes.view(i), cfg.labels) for i in range(len(scenes))])
     if not labels.any():
+        more = "collect.interactions" if attended(cfg) else "pretrain.test_scenes"
         raise ConfigError(
-            f"task={cfg.task.name} labels nothing in {len(scenes)} held-out scenes: raise pretrain.test_scenes, or "
-            f"check its parameters in conf/task/{cfg.task.name}.yaml"
+            f"task={cfg.task.name} labels nothing in {len(scenes)} held-out scenes: raise {more}, or check its parameters in "
+            f"conf/task/{cfg.task.name}.yaml"
         )
     return labels

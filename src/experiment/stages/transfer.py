@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
+from hydra.utils import instantiate
 from omegaconf import DictConfig
 from torch import Tensor
 
@@ -25,24 +26,25 @@ ESTIMATION_MAPS = 64
 
 
 def affordance_model(
-    cfg: DictConfig, collection: Collection, vision: dict[str, Any] | None
+    cfg: DictConfig, collection: Collection | None, vision: dict[str, Any] | None
 ) -> tuple[AffordanceModule, TransferReport]:
-    """Copy the configured parts of a vision model into a new affordance model, and say what became of every key.
+    """Copy the configured parts of the source into a new affordance model, and say what became of every key.
 
     Args:
         cfg: Of the run.
-        collection: Input statistics are measured on it, and BatchNorm statistics of layers that are not copied.
-        vision: The vision model's checkpoint; None copies nothing.
+        collection: Input statistics are measured on it, and BatchNorm statistics of layers that are not copied. None where the
+            source is an affordance model that is copied whole: it has both.
+        vision: The source's checkpoint; None copies nothing.
     """
     network = build.network(cfg, seed_for("head", cfg.seed))
-    network.normalization.set(*channel_statistics(collection))
+    if collection:
+        network.normalization.set(*channel_statistics(collection))
     report = copy_transferred(cfg, vision["network"] if vision else {}, network)
-    if "head" in cfg.transfer.parts:
+    if "head" in cfg.transfer.parts and not cfg.task.affordance:  # one that has learned to pick is as sure as it should be
         network.scale_logits(cfg.finetune.logit_scale)
-    rows, cols = collection.arrays["height"].shape[1:]
     module = AffordanceModule(
         network,
-        shape=(rows, cols),
+        shape=instantiate(cfg.workspace).shape,
         angles=cfg.primitive.angles,
         backbone_lr=cfg.finetune.backbone_lr,
         head_lr=cfg.finetune.head_lr,
@@ -51,8 +53,9 @@ def affordance_model(
         averaging=cfg.finetune.averaging,
     )
     module.to(build.device(cfg))
-    fresh = [name for name in batchnorms(network) if name.split(".")[0] not in cfg.transfer.parts]
-    estimate(network, _unlabelled(module, collection, cfg.collect.seed), fresh)
+    if collection:
+        fresh = [name for name in batchnorms(network) if name.split(".")[0] not in cfg.transfer.parts]
+        estimate(network, _unlabelled(module, collection, cfg.collect.seed), fresh)
     return module.eval(), report
 
 
@@ -66,6 +69,7 @@ def check_weights(cfg: DictConfig) -> None:
 
     Raises:
         TransferError: Keys or shapes differ.
+        ModelFileError: Of ``task=affordance``: it has another network, tool or size of a pixel.
         MissingWeights: They are not on this machine.
     """
     if not (cfg.task.weights or cfg.task.off_the_shelf):

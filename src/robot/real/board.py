@@ -99,6 +99,12 @@ def pdf(board: Board, path: Path) -> None:
         page(board).savefig(partial, format="pdf", metadata={"CreationDate": None})
 
 
+def drawing(board: Board, side: int) -> UInt8[np.ndarray, "h w"]:
+    """The board as a grey image whose squares have a side of so many pixels."""
+    picture: np.ndarray = _charuco(board).generateImage((side * board.columns, side * board.rows))
+    return picture
+
+
 def page(board: Board) -> Figure:
     """What :func:`pdf` writes. The axes fill the page and count in millimetres from its upper left corner."""
     side = 1000 * board.square

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import atexit
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -65,12 +67,7 @@ def connected(path: Path, station: Station, camera: DepthCamera) -> Cell:
     """
     path = path.absolute()
     if path not in _cells:
-        lock = FileLock(f"{path}.lock")
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            raise RobotError(f"another program uses the station {path}: wait for it to end") from None
-        _cells[path] = Cell(station, camera, lock)
+        _cells[path] = Cell(station, camera, _locked(path))
         log.info("connected to %s at %s", station.tool.kind, station.robot.host)
     return _cells[path]
 
@@ -80,3 +77,38 @@ def disconnect() -> None:
     """Close all cells; called at the end of the program too."""
     while _cells:
         _cells.popitem()[1].close()
+
+
+@contextmanager
+def only_arm(path: Path, station: Station) -> Iterator[UrArm]:
+    """The arm of a station alone, connected in the block.
+
+    Raises:
+        RobotError: It does not answer or must not move, or another program uses the station.
+    """
+    lock, arm = _locked(path.absolute()), UrArm(station)
+    try:
+        arm.connect()
+        yield arm
+    finally:
+        arm.close()
+        lock.release()
+
+
+@contextmanager
+def only_camera(camera: DepthCamera) -> Iterator[DepthCamera]:
+    """A camera, open in the block."""
+    try:
+        camera.open()
+        yield camera
+    finally:
+        camera.close()
+
+
+def _locked(path: Path) -> FileLock:
+    lock = FileLock(f"{path}.lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise RobotError(f"another program uses the station {path}: wait for it to end") from None
+    return lock

@@ -7,34 +7,26 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
-from see2act.robot import heightmap as hm
-from see2act.robot.arm import HOME_ANGLE, pointing_down
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.objects import ObjectSet
 from see2act.robot.real import station as stations
 from see2act.robot.real import tools
-from see2act.robot.real.box import Box
 from see2act.robot.real.camera import DepthCamera
 from see2act.robot.real.cell import Cell, connected
 from see2act.robot.real.operator import Operator, Terminal
-from see2act.robot.real.station import Joints, Station
+from see2act.robot.real.projection import Projection
+from see2act.robot.real.routes import LIFT, Routes
+from see2act.robot.real.station import Station
 from see2act.robot.real.ur import ProtectiveStop, UrArm
 from see2act.robot.robot import Robot
 from see2act.robot.types import Cause, Heightmap, NotNegative, Observation, Outcome, Pick, RobotError, Split
 from see2act.robot.workspace import Workspace
 
-LIFT = 0.10
-"""Metres (paper, section III-C)."""
 HOLD_SECONDS = 0.5
 """Seconds after the lift until the sensor is read again; the hold must last that long."""
-AT_HOME = 0.02
-"""Radians of the joints within which the arm counts as at home."""
 HOVER = 0.10
 """Metres above a pick at which a dry run ends."""
-CENTRE = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-"""From pixel centres at the index, as cameras give intrinsics, to centres at the index and a half, as heightmaps take them."""
 ALMOST_FLOOR = 0.01
 """Metres above the floor up to which a cell of the heightmap counts as empty."""
 CROWDED = 50
@@ -88,23 +80,23 @@ class RealRobot(Robot):
         self.half_opening = tools.build(self.station.tool, UrArm(self.station)).half_opening
         self._objects = objects
         self._clearance, self._contact_limit = clearance, contact_limit
-        self._joint_speed, self._tool_speed, self._descent_speed = joint_speed, tool_speed, descent_speed
+        self._speeds = joint_speed, tool_speed, descent_speed
         self._dry_run = dry_run
         self._operator = operator or Terminal()
-        self._world, self._box = self.station.world(), Box.above(self.station)
+        self._projection = Projection(self.station)
         self._seen: Observation | None = None
         """Of the bin as it is: nothing has moved since."""
 
     def reset(self, scene_seed: int, split: Split, count: int | None = None) -> None:
         """Ask the person for a new scene. ``scene_seed`` names it, and decides nothing."""
-        self._go_home()
+        self._routes.home()
         amount = f"{count or self._objects.kinds * self._objects.copies} of the {split} objects of {self._objects.name}"
         self._operator.ask(f"Scene {scene_seed}: empty the bin, put in {amount}, stir, and step back. Then press Enter.")
         self._seen = None
 
     def resume(self, scene_seed: int, attempts: int) -> bool:
         """Ask whether the scene is as an interrupted run left it."""
-        self._go_home()
+        self._routes.home()
         self._seen = None
         return self._operator.agrees(
             f"The run goes on in scene {scene_seed} after {attempts} attempts. Is the bin as they left it?"
@@ -114,19 +106,19 @@ class RealRobot(Robot):
         """Heightmap of the empty bin, as `real.py background` saw it."""
         assert self.station.background is not None, "the constructor refuses a station without one"
         with np.load(self._path.parent / self.station.background) as images:
-            return self._heightmap(images["color"], self._corrected(images["depth"]), images["intrinsics"])
+            return self._projection.heightmap(images["color"], images["depth"], images["intrinsics"], self.workspace)
 
     def observe(self) -> Observation:
         if self._seen is None:
-            self._go_home()
+            self._routes.home()
             frame = self._cell.camera.read()
-            depth = self._corrected(frame.depth)
-            heightmap = self._heightmap(frame.color, depth, self._cell.camera.intrinsics)
-            self._seen = Observation(heightmap, frame.color, depth)
+            intrinsics = self._cell.camera.intrinsics
+            heightmap = self._projection.heightmap(frame.color, frame.depth, intrinsics, self.workspace)
+            self._seen = Observation(heightmap, frame.color, self._projection.depth(frame.depth))
         return self._seen
 
     def execute(self, pick: Pick) -> Outcome:
-        self._go_home()
+        self._routes.home()
         self._seen = None
         start = time.monotonic()
         try:
@@ -147,23 +139,19 @@ class RealRobot(Robot):
 
     def _attempt(self, pick: Pick) -> tuple[Cause, float]:
         """Why it failed or ``ok``, and the reading that decided."""
-        arm, tool = self._cell.arm, self._cell.tool
-        depth = self.station.tool.depth
-        bottom = max(pick.z - depth, self.station.tool.floor_gap)
-        above = self._at(pick.x, pick.y, max(self._clearance, bottom), pick.angle)
-        self._to_gate()
+        routes, tool = self._routes, self._cell.tool
+        bottom = max(pick.z - self.station.tool.depth, self.station.tool.floor_gap)
+        place = pick.x, pick.y
+        routes.to_gate()
         tool.prepare()
-        arm.move_line(above, self._tool_speed, self._box)
+        routes.above(*place, pick.angle)
         if self._dry_run:
-            hover = self._at(pick.x, pick.y, min(max(pick.z + HOVER, bottom), self._clearance), pick.angle)
-            arm.move_line(hover, self._descent_speed, self._box)
+            routes.down(*place, min(max(pick.z + HOVER, bottom), self._clearance), pick.angle)
             return self._end_without("dry_run", 0.0)
-        blocked = arm.move_line(
-            self._at(pick.x, pick.y, bottom, pick.angle), self._descent_speed, self._box, force_limit=self._contact_limit
-        )
+        blocked = routes.down(*place, bottom, pick.angle, force_limit=self._contact_limit)
         tool.engage()
         engaged = tool.holds(tool.reading())
-        arm.move_line(self._raised(self._clearance + LIFT), self._descent_speed, self._box)
+        routes.up(LIFT)
         time.sleep(HOLD_SECONDS)
         reading = tool.reading()
         if not tool.holds(reading):
@@ -171,20 +159,19 @@ class RealRobot(Robot):
             return self._end_without(
                 "slipped" if engaged else "collision" if blocked and self.half_opening else failed, reading
             )
-        arm.move_line(self._gate(), self._tool_speed, self._box)
-        arm.move_joints(self._taught("drop"), self._joint_speed)
+        routes.back_to_gate()
+        routes.drop()
         tool.release()
-        arm.move_joints(self._gate_joints, self._joint_speed)
-        self._go_home()
+        routes.to_gate()
+        routes.home()
         return "ok", reading
 
     def _end_without(self, cause: Cause, reading: float) -> tuple[Cause, float]:
         """Go home with an empty tool."""
-        arm = self._cell.arm
-        arm.move_line(self._raised(self._clearance), self._descent_speed, self._box)
+        self._routes.up()
         self._cell.tool.release()
-        arm.move_line(self._gate(), self._tool_speed, self._box)
-        self._go_home()
+        self._routes.back_to_gate()
+        self._routes.home()
         return cause, reading
 
     def _wait_for_a_person(self, reason: str) -> None:
@@ -200,86 +187,20 @@ class RealRobot(Robot):
             self._wait_for_a_person(str(still))
             return
         self._cell.tool.release()
-        self._rise_and_go_home()
-
-    # Places
-
-    def _go_home(self) -> None:
-        """Move to where the arm waits; from an unknown place only if a person agrees."""
-        arm, home = self._cell.arm, self._taught("home")
-        if _near(arm.joints, home):
-            return
-        if not _near(arm.joints, self._gate_joints):
-            if not self._operator.agrees("The arm is not at home. It will rise straight up and then go home. Is the way free?"):
-                raise RobotError("the arm is not at home: bring it there by hand, or agree that it goes there by itself")
-            self._rise_and_go_home()
-            return
-        arm.move_joints(home, self._joint_speed)
-
-    def _rise_and_go_home(self) -> None:
-        arm = self._cell.arm
-        if self._box.objection(arm.tip[:3, 3]) is None:
-            arm.move_line(self._raised(self._clearance + LIFT), self._descent_speed, self._box)
-            arm.move_line(self._gate(), self._descent_speed, self._box)
-        arm.move_joints(self._taught("home"), self._joint_speed / 2)
-
-    def _to_gate(self) -> None:
-        self._cell.arm.move_joints(self._gate_joints, self._joint_speed)
-
-    def _gate(self) -> Float[np.ndarray, "4 4"]:
-        """Above the middle of the bin. Joint motions end and straight ones begin there."""
-        return self._at(0.0, 0.0, self._clearance + LIFT, HOME_ANGLE)
-
-    def _at(self, x: float, y: float, z: float, angle: float) -> Float[np.ndarray, "4 4"]:
-        """Pose of the tip in the controller's base, pointing straight down into the bin.
-
-        The tool's x axis points along ``angle`` + pi in the world, as in the simulation.
-        """
-        tip = np.eye(4)
-        tip[:3, :3] = pointing_down(angle + np.pi)
-        tip[:3, 3] = x, y, z
-        return self._world @ tip
-
-    def _raised(self, z: float) -> Float[np.ndarray, "4 4"]:
-        """The present pose, with the tip at a height above the floor unless it is higher already."""
-        tip = np.linalg.inv(self._world) @ self._cell.arm.tip
-        tip[2, 3] = max(tip[2, 3], z)
-        return self._world @ tip
+        self._routes.rise_and_go_home()
 
     @cached_property
-    def _gate_joints(self) -> Joints:
-        return self._cell.arm.joints_at(self._gate(), near=self._taught("home"))
-
-    def _taught(self, name: str) -> Joints:
-        joints: Joints = getattr(self.station.robot, name)
-        return joints
+    def _routes(self) -> Routes:
+        """Made with the first motion, when the arm is connected."""
+        routes = Routes(self._cell.arm, self.station, self._operator, self._clearance, *self._speeds)
+        routes.refuse_out_of_reach()
+        return routes
 
     @property
     def _cell(self) -> Cell:
         cell = connected(self._path, self.station, self._camera)
-        calibration = self.station.calibration
-        assert calibration is not None
-        if cell.camera.serial != calibration.serial:
-            raise RobotError(
-                f"the camera is {cell.camera.serial}, and the station was calibrated with {calibration.serial}: connect that "
-                "one, or type `python real.py calibrate`"
-            )
+        self.station.demand_camera(cell.camera.serial)
         return cell
-
-    # Images
-
-    def _corrected(self, depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        """Depth by the station's calibration, metres; 0 stays 0."""
-        calibration = self.station.calibration
-        assert calibration is not None
-        true = calibration.depth_scale * depth + calibration.depth_offset
-        return np.where(depth > 0, true, 0).astype(np.float32)
-
-    def _heightmap(self, color: np.ndarray, depth: np.ndarray, intrinsics: np.ndarray) -> Heightmap:
-        calibration = self.station.calibration
-        assert calibration is not None
-        pose = np.linalg.inv(self._world) @ np.array(calibration.camera)
-        return hm.project(color, depth, hm.point_cloud(depth, intrinsics + CENTRE, pose), self.workspace)
 
 
 def _refuse_unfit(station: Station, workspace: Workspace, camera: DepthCamera, primitive: str) -> None:
@@ -290,20 +211,10 @@ def _refuse_unfit(station: Station, workspace: Workspace, camera: DepthCamera, p
         raise RobotError(
             f"the station's {station.tool.kind} cannot do primitive={primitive}: use primitive={station.primitive}"
         )
-    for name in ("home", "drop"):
-        if getattr(station.robot, name) is None:
-            raise RobotError(f"the station has no place {name}: type `python real.py teach`")
+    station.demand("home", "drop", "bin", "calibration", "background")
     width, length = station.bin_size()
     if workspace.width > width + 0.02 or workspace.length > length + 0.02:
         raise RobotError(
             f"workspace={workspace.name} is {workspace.width} by {workspace.length} m, and the taught bin {width:.3f} by "
             f"{length:.3f} m: choose a smaller one with workspace.width= and workspace.length=, or a larger bin"
         )
-    if station.calibration is None:
-        raise RobotError("the station has no calibration: type `python real.py calibrate`")
-    if station.background is None:
-        raise RobotError("the station has no image of the empty bin: type `python real.py background`")
-
-
-def _near(joints: Joints, others: Joints) -> bool:
-    return bool(np.abs(np.subtract(joints, others)).max() < AT_HOME)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from scipy.spatial.transform import Rotation
 
 from see2act.files import replacing
@@ -26,11 +28,22 @@ Joints = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 """Radians, from the base to the last wrist."""
 Channel = Annotated[int, Field(ge=0, le=7)]
 """Number of a digital output or input in the controller's cabinet."""
-HEADER = "# One lab's arm, tool, camera and bin. Metres, radians, kilograms; poses in the frame of the controller's base.\n"
+HEADER = "One lab's arm, tool, camera and bin. Metres, radians, kilograms; poses in the frame of the controller's base."
+
+
+WRITTEN_BY = {
+    "home": "teach",
+    "drop": "teach",
+    "bin": "teach",
+    "calibration": "calibrate",
+    "touch": "touch",
+    "background": "background",
+}
+"""The command of `real.py` that writes each part of a station."""
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class RobotSection(_Section):
@@ -52,7 +65,7 @@ class ToolSection(_Section):
     mass: NotNegative
     """Kilograms, tool and cables."""
     centre_of_mass: Point = (0.0, 0.0, 0.05)
-    """In the frame of the flange."""
+    """Metres, in the frame of the flange."""
     depth: NotNegative
     """Metres below the surface at a pick to which the tip goes."""
     floor_gap: NotNegative = 0.003
@@ -76,7 +89,7 @@ class Rg2Modbus(ComputeBoxSection):
     opening: Positive = 0.105
     """Metres between the open fingertips."""
     force: Positive = 20.0
-    """Newtons, 40 at most."""
+    """Newtons with which it closes, 40 at most."""
     threshold: Positive = 0.01
     """Metres of opening above which an object counts as held."""
 
@@ -90,9 +103,9 @@ class Rg2DigitalOutput(ToolSection):
     opening: Positive = 0.105
     """Metres between the open fingertips."""
     volts: tuple[Finite, Finite] = (0.26, 3.0)
-    """Of the tool's first analog input with the fingertips closed, and open; the defaults are those of OnRobot's script."""
+    """Volts of the tool's first analog input with the fingertips closed, and open. (The defaults are of OnRobot's script.)"""
     seconds: Positive = 1.0
-    """Until the fingers have come to rest."""
+    """Seconds until the fingers have come to rest."""
     threshold: Positive = 0.01
     """Metres of opening above which an object counts as held."""
 
@@ -102,19 +115,19 @@ class VacuumOutput(ToolSection):
 
     kind: Literal["vacuum_io"] = "vacuum_io"
     output: Channel = 0
-    """Of the ejector."""
+    """Number of the digital output of the ejector or pump."""
     blow_off: Channel | None = None
-    """Output that blows an object off; None where there is none."""
+    """Number of the output that blows an object off; null where there is none."""
     analog: Annotated[int, Field(ge=0, le=1)] | None = None
-    """Number of the cabinet's analog input with the pressure sensor; None for a switch at ``digital``."""
+    """Number of the cabinet's analog input with the pressure sensor; null with a vacuum switch."""
     volts: tuple[Finite, Finite] = (1.0, 5.0)
-    """Of the sensor at ambient pressure, and at ``full_scale``."""
+    """Volts of the pressure sensor at ambient pressure, and at full_scale."""
     full_scale: Positive = 100.0
-    """Kilopascals below ambient."""
+    """Kilopascals below ambient pressure at which the sensor gives its second voltage."""
     digital: Channel | None = None
-    """Digital input of a vacuum switch; None with an analog sensor."""
+    """Number of the digital input of a vacuum switch; null with a pressure sensor."""
     seconds: Positive = 0.5
-    """Until the pressure has come to rest."""
+    """Seconds until the pressure has come to rest."""
     threshold: Positive = 20.0
     """Kilopascals below the pressure of the free cup from which on an object counts as held."""
 
@@ -128,7 +141,7 @@ class Vg10(ComputeBoxSection):
     vacuum: Annotated[float, Field(gt=0, le=80)] = 40.0
     """Percent of a full vacuum, 80 at most."""
     seconds: Positive = 0.5
-    """Until the pressure has come to rest."""
+    """Seconds until the pressure has come to rest."""
     threshold: Positive = 20.0
     """Kilopascals below the pressure of the free cup from which on an object counts as held."""
 
@@ -140,7 +153,7 @@ class CalibrationSection(_Section):
     """Where the camera is, and how its depth must be corrected. Written by `real.py calibrate`."""
 
     serial: str
-    """Of the camera."""
+    """Serial number of the camera."""
     size: tuple[int, int]
     """Columns and rows of its images."""
     camera: tuple[tuple[Finite, Finite, Finite, Finite], ...]
@@ -151,7 +164,7 @@ class CalibrationSection(_Section):
     error: NotNegative
     """Metres, rms, of points on the bin's floor, as estimated from poses that were left out."""
     views: int
-    """How many were used."""
+    """Number of views that were used."""
     date: str
 
     @field_validator("camera")
@@ -171,7 +184,7 @@ class TouchSection(_Section):
     offset: NotNegative
     """Metres between where the tool went and where a person saw it arrive, the largest."""
     serial: str
-    """Of the camera whose calibration was tried."""
+    """Serial number of the camera whose calibration was tried."""
     date: str
 
 
@@ -193,6 +206,29 @@ class Station(_Section):
         """What the tool can do."""
         return "grasp" if self.tool.kind in ("rg2_modbus", "rg2_io") else "suction"
 
+    def demand(self, *parts: str) -> None:
+        """Refuse a station that lacks one of these parts, keys of :data:`WRITTEN_BY`.
+
+        Raises:
+            RobotError: With the command that writes the first that is missing.
+        """
+        for part in parts:
+            if getattr(self.robot if part in ("home", "drop") else self, part) is None:
+                raise RobotError(f"the station has no {part}: type `python real.py {WRITTEN_BY[part]}`")
+
+    def demand_camera(self, serial: str) -> None:
+        """Refuse a camera that the station was not calibrated with.
+
+        Raises:
+            RobotError: With both serial numbers.
+        """
+        self.demand("calibration")
+        if self.calibration and serial != self.calibration.serial:
+            raise RobotError(
+                f"the camera is {serial}, and the station was calibrated with {self.calibration.serial}: connect that one, or "
+                "type `python real.py calibrate`"
+            )
+
     @property
     def trusted(self) -> bool:
         """Whether a touch test of this calibration was clean; until then the arm is slow."""
@@ -207,8 +243,7 @@ class Station(_Section):
         Raises:
             RobotError: The bin is not taught yet, or its corners are not those of a rectangle.
         """
-        if self.bin is None:
-            raise RobotError("the station has no bin: type `python real.py teach`")
+        self.demand("bin")
         near_left, near_right, far_left = np.array(self.bin)
         across, along = near_left - near_right, far_left - near_left
         width, length = np.linalg.norm(along), np.linalg.norm(across)
@@ -249,8 +284,8 @@ def load(path: Path) -> Station:
     if not path.is_file():
         raise RobotError(f"there is no station at {path}: type `python real.py new` to write one, or give robot.station=FILE")
     try:
-        return Station.model_validate(yaml.safe_load(path.read_text()))
-    except yaml.YAMLError as error:
+        return Station.model_validate(YAML(typ="safe", pure=True).load(path))
+    except YAMLError as error:
         raise RobotError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
     except ValidationError as error:
         first = error.errors()[0]
@@ -259,10 +294,16 @@ def load(path: Path) -> Station:
 
 
 def save(station: Station, path: Path) -> None:
-    """Write a station atomically. Comments that a person wrote into the file are lost; values are not."""
-    data = station.model_dump(mode="json", exclude_none=True)
+    """Write a station atomically. What a person wrote beside the values of an existing file stays."""
+    yaml = YAML()
+    yaml.width = 128
+    yaml.representer.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "null"))
+    document = yaml.load(path) if path.is_file() else CommentedMap()
+    if not document:
+        document.yaml_set_start_comment(HEADER)
+    _update(document, station)
     with replacing(path) as partial:
-        partial.write_text(HEADER + yaml.dump(data, Dumper=_FlatLists, sort_keys=False, width=128))
+        yaml.dump(document, partial)
 
 
 def matrix(pose: Sequence[float] | np.ndarray) -> Float[np.ndarray, "4 4"]:
@@ -284,13 +325,26 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-class _FlatLists(yaml.SafeDumper):
-    """Lists of numbers on one line, so that a pose reads as one."""
+def _update(document: CommentedMap, section: BaseModel, depth: int = 0) -> None:
+    """Bring a mapping of YAML up to a section's values. New keys get the section's description as a comment."""
+    fields = type(section).model_fields
+    for name in sorted(fields, key=lambda name: name != "kind"):  # a tool's kind first
+        value, description, new = getattr(section, name), fields[name].description, name not in document
+        if isinstance(value, BaseModel):
+            if not isinstance(document.get(name), CommentedMap):
+                document[name] = CommentedMap()
+            _update(document[name], value, depth + 1)
+        else:
+            document[name] = _as_yaml(value)
+        if new and description:
+            document.yaml_set_comment_before_after_key(name, fill(" ".join(description.split()), 110), 2 * depth)
 
 
-def _list(dumper: yaml.SafeDumper, data: list) -> yaml.Node:
-    flat = all(not isinstance(item, list | dict) for item in data)
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=flat)
-
-
-_FlatLists.add_representer(list, _list)
+def _as_yaml(value: Any) -> Any:
+    """A value with lists of numbers on one line, so that a pose reads as one."""
+    if not isinstance(value, tuple):
+        return value
+    items = CommentedSeq(_as_yaml(item) for item in value)
+    if not any(isinstance(item, tuple) for item in value):
+        items.fa.set_flow_style()
+    return items

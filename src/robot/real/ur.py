@@ -6,7 +6,8 @@ import ctypes
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, TypeVar
@@ -61,6 +62,10 @@ class ArmError(RobotError):
 
 class ProtectiveStop(ArmError):
     """The controller stopped the arm. Only a person clears that."""
+
+
+class OutOfReach(ArmError):
+    """The controller says that the arm cannot be at a pose, or must not. It has not moved."""
 
 
 class LinkLost(ArmError):
@@ -138,16 +143,21 @@ class UrArm:
             raise ArmError(f"the controller at {self._host} does not take the tool's tip from the station: restart it")
 
     def close(self) -> None:
-        """Stop and disconnect. Safe to call twice."""
+        """Stop and disconnect. Safe to call twice, and after the link was lost."""
         lost = self._receive is not None and self._link_is_lost()
         for client in (self._control, self._io, self._receive):
-            if client is not None and lost:
+            if client is None:
+                continue
+            try:
+                if not lost and client is self._control:
+                    self._call(client.stopScript)
+                if not lost:
+                    self._call(client.disconnect)
+            except ArmError:
+                lost = True
+            if lost:
                 # Its destructor would wait for ever or end the program. A further reference keeps it from being called.
                 ctypes.pythonapi.Py_IncRef(ctypes.py_object(client))
-            elif client is not None:
-                if client is self._control:
-                    self._call(client.stopScript)
-                self._call(client.disconnect)
         self._control = self._io = self._receive = None
 
     def status(self) -> Status:
@@ -228,7 +238,7 @@ class UrArm:
         for name, place in (("the tip is", self.tip), ("the target is", target)):
             if reason := box.objection(place[:3, 3]):
                 raise ArmError(f"{name} {reason}")
-        self._refuse_out_of_reach(target)
+        self.refuse_out_of_reach(target)
         speed *= self._share
         before, stopped_by = self.force, None
 
@@ -250,16 +260,38 @@ class UrArm:
         Raises:
             ArmError: There are none.
         """
-        self._refuse_out_of_reach(target)
+        self.refuse_out_of_reach(target)
         return tuple(self._call(self._control.getInverseKinematics, list(pose(target)), list(near)))
+
+    def refuse_out_of_reach(self, target: Float[np.ndarray, "4 4"]) -> None:
+        """Ask the controller whether the tip can be at a pose, within the safety limits. Nothing moves.
+
+        Raises:
+            OutOfReach: It cannot.
+        """
+        if not self._ask("isPoseWithinSafetyLimits", list(pose(target))):
+            raise OutOfReach(
+                f"the arm cannot reach {_place(target)} m, or its safety limits forbid it: move the bin, or change the limits"
+            )
 
     def stop(self) -> None:
         """Stop at once."""
         self._call(self._control.stopL, DECELERATION)
 
-    def freedrive(self, on: bool) -> None:
-        """Let a person move the arm by hand, or end that."""
-        self._do("freedriveMode" if on else "endFreedriveMode")
+    @contextmanager
+    def led_by_hand(self) -> Iterator[None]:
+        """The arm gives way to a person's hand in the block.
+
+        Raises:
+            ArmError: It must not move.
+        """
+        self.check_ready()
+        self._do("freedriveMode")
+        try:
+            yield
+        finally:
+            self._do("endFreedriveMode")
+            time.sleep(SETTLE)  # until the arm is at rest, and its last pose has come
 
     # Inputs and outputs
 
@@ -322,12 +354,6 @@ class UrArm:
 
     def _operation(self) -> Any:
         return self._call(self._control.getAsyncOperationProgressEx)
-
-    def _refuse_out_of_reach(self, target: Float[np.ndarray, "4 4"]) -> None:
-        if not self._ask("isPoseWithinSafetyLimits", list(pose(target))):
-            raise ArmError(
-                f"the arm cannot reach {_place(target)} m, or its safety limits forbid it: move the bin, or change the limits"
-            )
 
     def check_ready(self) -> None:
         """Refuse to move in the wrong mode, and start the controller's program again where it has ended. Nothing moves.

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.calibration import INTRINSICS, SIZE, Case, Errors, case, measure, summary
-from see2act.robot.real import board as printed
+from benchmarks.stand_in.board import with_board
 from see2act.robot.real.board import Board, Detection, detect, pdf
 from see2act.robot.real.calibration import Calibration, calibrate
 from see2act.robot.real.views import View, bin_points, propose, seen
@@ -342,23 +342,7 @@ def _project(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def _image(board: Board, pose: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A board in the camera: RGB with blur and noise, drawn four times larger, and its depth in metres without noise."""
-    side, over, rim = 160, 4, 80
-    drawn = printed._charuco(board).generateImage((side * board.columns, side * board.rows))
-    drawn = cv2.copyMakeBorder(drawn, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=255)
-    plane = INTRINSICS @ pose[:3, [0, 1, 3]]
-    scale = board.square / side
-    place = np.array([[scale, 0, scale * (0.5 - rim)], [0, scale, scale * (0.5 - rim)], [0, 0, 1]])
-    corners = _project(np.array([[x, y, 0] for x in (-0.01, 0.13) for y in (-0.01, 0.17)]), pose)
-    left, top = np.maximum(corners.min(0).astype(int) - 6, 0)
-    right, bottom = np.minimum(corners.max(0).astype(int) + 6, SIZE)
-    shift = np.array([[over, 0, (over - 1) / 2 - over * left], [0, over, (over - 1) / 2 - over * top], [0, 0, 1]])
-    size = (int(right - left), int(bottom - top))
-    large = cv2.warpPerspective(drawn, shift @ plane @ place, (over * size[0], over * size[1]), borderValue=(90,))
-    small = cv2.GaussianBlur(cv2.resize(large, size, interpolation=cv2.INTER_AREA), (0, 0), 0.8)
-    image, depth = np.full(SIZE[::-1], 94, np.uint8), np.zeros(SIZE[::-1], np.float32)
-    image[top:bottom, left:right] = np.clip(small * 0.6 + 40 + rng.normal(size=small.shape) * 4, 0, 255)
-    rows, cols = np.mgrid[top:bottom, left:right]
-    rays = np.stack([cols, rows, np.ones_like(cols)], axis=-1) @ np.linalg.inv(INTRINSICS).T
-    depth[top:bottom, left:right] = (pose[:3, 2] @ pose[:3, 3]) / (rays @ pose[:3, 2])
-    return np.repeat(image[..., None], 3, axis=2), depth
+    """A board in the camera: RGB with blur and noise, and its depth in metres without noise; 0 around it."""
+    grey, nothing = np.full((*SIZE[::-1], 3), 94, np.uint8), np.zeros(SIZE[::-1], np.float32)
+    color, depth = with_board(grey, nothing, board, pose, INTRINSICS)
+    return np.clip(color + rng.normal(size=(*SIZE[::-1], 1)) * 4, 0, 255).astype(np.uint8), depth

@@ -13,6 +13,7 @@ import pytest
 from hydra.utils import instantiate
 
 from benchmarks.stand_in.cell import StandInCell
+from benchmarks.stand_in.person import Person
 from see2act.errors import ConfigError
 from see2act.experiment.checks import check_run
 from see2act.experiment.config import composed
@@ -24,24 +25,6 @@ from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Pick, RobotError
 
 SCENE = 5
-
-
-class Person(Operator):
-    """Fills the bin when asked for a scene, and agrees to everything else unless told otherwise."""
-
-    def __init__(self, cell: StandInCell):
-        self._cell = cell
-        self.asked: list[str] = []
-        self.agree = True
-
-    def ask(self, request: str) -> str:
-        self.asked.append(request)
-        if request.startswith("Scene"):
-            self._cell.fill(int(request.split()[1].rstrip(":")), "seen")
-        if "protective stop" in request:
-            self._cell.unlock()
-            time.sleep(0.1)
-        return "yes" if self.agree else "no"
 
 
 @pytest.fixture(scope="module")
@@ -168,9 +151,8 @@ def test_a_protective_stop_aborts_the_attempt_and_waits_for_a_person(
 
 
 def test_an_arm_that_is_not_at_home_moves_only_if_a_person_agrees(robot: RealRobot, person: Person, cell: StandInCell) -> None:
-    arm = robot._cell.arm
-    robot._to_gate()
-    arm.move_line(robot._at(0.05, 0.05, 0.2, 0.0), 0.25, robot._box)
+    robot._routes.to_gate()
+    robot._routes.down(0.05, 0.05, 0.2, 0.0)
     robot._seen = None
     person.agree = False
     moves = cell.moves()
