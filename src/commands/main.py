@@ -11,6 +11,7 @@ COMMANDS = {
     "predict": "picks in an RGB-D image of your own",
     "demo": "a trained robot clears a bin",
     "heatmaps": "the same scenes through every source model",
+    "real": "set up a station with a real robot",
     "coco": "get the COCO weights of model=nanodet_g",
 }
 

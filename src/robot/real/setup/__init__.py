@@ -1,0 +1,1 @@
+"""From unboxing to a station that can pick: what `real.py` does, a module a command."""
