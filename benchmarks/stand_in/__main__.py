@@ -1,7 +1,7 @@
-"""A station without hardware, for trying a run with `robot=ur5_real` by hand.
+"""A station without hardware, for trying `real.py` and runs with `robot=ur5_real` by hand.
 
-`python -m benchmarks.stand_in FOLDER` writes FOLDER/station.yaml and says what to type in another terminal. What that terminal
-asks of the person at the station, type here.
+`python -m benchmarks.stand_in FOLDER` says what to type in another terminal. With `--unboxed` there is no station.yaml yet, and
+the camera shows a calibration board where there is one. What the other terminal asks of the person at the station, do here.
 """
 
 from __future__ import annotations
@@ -9,10 +9,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.stand_in.cell import StandInCell
+from benchmarks.stand_in.cell import BRACKET, PLACES, StandInCell
 from see2act.robot.types import Split
 
-HELP = "type SCENE seen, SCENE unseen (the number that the run asks for), stop (a protective stop), unlock, or quit"
+HELP = f"""  SCENE seen, SCENE unseen       fill the bin; SCENE is the number that a run asks for
+  empty                          take everything out of the bin
+  lead PLACE                     lead the arm by hand: {", ".join(PLACES)}
+  board tool|floor|away          fix the board beside the tool, lay it into the bin, or take it away
+  offset                         measure what `real.py touch` asks for
+  stop, unlock                   a protective stop, and what clears it
+  quit"""
 
 
 def main() -> None:
@@ -20,29 +26,56 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--host", default="127.0.1.1", help="address of the controller, 127.x.x.x")
+    parser.add_argument("--unboxed", action="store_true", help="nothing is set up yet")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration of the simulated robot behind it")
     args = parser.parse_intermixed_args()
-    cell = StandInCell(args.host, args.folder, args.overrides)
+    cell = StandInCell(args.host, args.folder, args.overrides, args.unboxed)
     folder = args.folder
+    camera = f"camera=files camera.folder={folder}/camera camera.frames=1"
+    print(f"a cup over a bin, its controller at {args.host}. In another terminal:\n")
+    if args.unboxed:
+        station = f"--station {folder}/station.yaml"
+        print(f"python real.py new {station} --host {args.host} --tool vacuum_io --tip 0.14")
+        print(f"python real.py teach {station}")
+        for command in (f"calibrate --centre {' '.join(map(str, BRACKET))}", "touch", "background", "check"):
+            print(f"python real.py {command} {station} {camera}")
+    print(f"python demo.py robot=ur5_real --dry-run primitive=suction robot.station={folder}/station.yaml {camera}")
     print(
-        f"a cup over a bin, its controller at {args.host}. In another terminal:\n\n"
-        f"python train.py robot=ur5_real robot.station={folder}/station.yaml camera=files camera.folder={folder}/camera "
-        "camera.frames=1 collect.interactions=8 "
-        "task=none transfer=none finetune.attempts=30 'evaluate.at=[30]'\n"
+        f"python train.py robot=ur5_real robot.station={folder}/station.yaml {camera} collect.folder={folder}/observations "
+        "collect.interactions=8 primitive=suction task=none transfer=none finetune.attempts=30\n\n"
+        f"Here, as the person at the station, type\n{HELP}"
     )
     try:
-        while (words := input(f"{HELP}\n> ").split()) != ["quit"]:
-            if words == ["stop"]:
-                cell.protective_stop()
-            elif words == ["unlock"]:
-                cell.unlock()
-            elif len(words) == 2 and words[0].isdigit() and words[1] in ("seen", "unseen"):
-                split: Split = "seen" if words[1] == "seen" else "unseen"
-                cell.fill(int(words[0]), split)
+        while (words := input("> ").split()) != ["quit"]:
+            try:
+                _do(cell, words)
+            except (ValueError, KeyError, EOFError) as error:
+                print(f"not done: {error}")
     except (EOFError, KeyboardInterrupt):
         pass
     finally:
         cell.close()
+
+
+def _do(cell: StandInCell, words: list[str]) -> None:
+    match words:
+        case [scene, "seen" | "unseen"] if scene.isdigit():
+            split: Split = "seen" if words[1] == "seen" else "unseen"
+            cell.fill(int(scene), split)
+        case ["empty"]:
+            cell.empty()
+        case ["lead", *place] if " ".join(place) in PLACES:
+            cell.lead(" ".join(place))
+        case ["board", "tool" | "floor" | "away" as where]:
+            cell.put_board(where)
+        case ["offset"]:
+            print("{:.1f} {:.1f}".format(*(1000 * metres for metres in cell.offset())))
+        case ["stop"]:
+            cell.protective_stop()
+        case ["unlock"]:
+            cell.unlock()
+        case _:
+            raise ValueError(f"type one of\n{HELP}")
 
 
 if __name__ == "__main__":

@@ -86,7 +86,11 @@ class StandInCell:
         self._ask("empty")
 
     def lead(self, place: str) -> None:
-        """What a hand does in freedrive: lead the arm to a key of :data:`PLACES`."""
+        """What a hand does in freedrive: lead the arm to a key of :data:`PLACES`.
+
+        Raises:
+            ValueError: Nothing has asked for freedrive.
+        """
         self._ask("lead", place)
 
     def put_board(self, place: Literal["away", "tool", "floor"]) -> None:
@@ -128,7 +132,10 @@ class StandInCell:
 
     def _ask(self, what: str, *arguments: object) -> Any:
         self._pipe.send((what, arguments))
-        return self._pipe.recv()
+        answer = self._pipe.recv()
+        if isinstance(answer, ValueError):
+            raise answer
+        return answer
 
 
 class _Cell:
@@ -181,7 +188,8 @@ class _Cell:
 
     def lead(self, place: str) -> None:
         state = self.controller.state
-        assert state.freedrive, "the arm does not give way: nobody has asked for freedrive"
+        if not state.freedrive:
+            raise ValueError("the arm does not give way to a hand: nothing has asked for that")
         if place in ("home", "drop"):
             state.q = np.array(self._home if place == "home" else DROP)
             return
@@ -207,7 +215,8 @@ class _Cell:
             self._board = facing @ _moved(-BOARD.corners().mean(0))
 
     def offset(self) -> tuple[float, float]:
-        assert self._board is not None
+        if self._board is None or self._board_carried:
+            raise ValueError("no board lies in the bin")
         tip = (np.linalg.inv(self._world) @ stations.matrix(self.controller.tip()))[:3, 3]
         corners = BOARD.corners() @ self._board[:3, :3].T + self._board[:3, 3]
         away = tip - corners
@@ -363,5 +372,8 @@ def _serve(host: str, folder: Path, overrides: list[str], unboxed: bool, pipe: C
                 what, arguments = pipe.recv()
             except EOFError:
                 return
-            pipe.send(cell.answer(what, arguments))
+            try:
+                pipe.send(cell.answer(what, arguments))
+            except ValueError as error:
+                pipe.send(error)
         time.sleep(0.002)

@@ -249,7 +249,7 @@ def test_a_network_that_cannot_be_is_refused_before_work(override: str) -> None:
     ("overrides", "words"),
     [
         (["seeds=0,1"], "there is no configuration key 'seeds'"),
-        (["task=edge,corner,edgee"], "Could not find 'task/edgee' choose from the options of 'task': center coco"),
+        (["task=edge,corner,edgee"], "Could not find 'task/edgee' choose from the options of 'task': affordance center coco"),
         (["+sed=range(0,3)"], "there is no configuration key 'sed'"),
         (["experiment=transfer_part"], "options of 'experiment': off_the_shelf off_the_shelf_small"),
         (["task=glob(*)", "finetune.attemps=3"], "there is no configuration key 'finetune.attemps'"),
