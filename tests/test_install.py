@@ -70,7 +70,9 @@ def test_the_command_lists_its_commands(installed: Path, tmp_path: Path) -> None
     assert all(f"\n  {name} " in done.stdout for name in ("train", "report", "predict", "demo", "heatmaps"))
     done = subprocess.run([installed, "tain"], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == "see2act: there is no command 'tain': choose one of train, report, predict, demo, heatmaps, coco\n"
+    assert (
+        done.stderr == "see2act: there is no command 'tain': choose one of train, report, predict, demo, heatmaps, real, coco\n"
+    )
 
 
 @pytest.mark.slow

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
-from ruamel.yaml import YAML, YAMLError
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from scipy.spatial.transform import Rotation
 
 from see2act.files import replacing
 from see2act.robot.types import RobotError
+
+if TYPE_CHECKING:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.comments import CommentedMap
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -283,8 +285,11 @@ def load(path: Path) -> Station:
     """
     if not path.is_file():
         raise RobotError(f"there is no station at {path}: type `python real.py new` to write one, or give robot.station=FILE")
+    yaml = _yaml(typ="safe", pure=True)
+    from ruamel.yaml import YAMLError
+
     try:
-        return Station.model_validate(YAML(typ="safe", pure=True).load(path))
+        return Station.model_validate(yaml.load(path))
     except YAMLError as error:
         raise RobotError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
     except ValidationError as error:
@@ -295,7 +300,9 @@ def load(path: Path) -> Station:
 
 def save(station: Station, path: Path) -> None:
     """Write a station atomically. What a person wrote beside the values of an existing file stays."""
-    yaml = YAML()
+    yaml = _yaml()
+    from ruamel.yaml.comments import CommentedMap
+
     yaml.width = 128
     yaml.representer.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "null"))
     document = yaml.load(path) if path.is_file() else CommentedMap()
@@ -325,8 +332,23 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
+def _yaml(**options: Any) -> YAML:
+    """The package that keeps comments. It is imported late, since only stations need it.
+
+    Raises:
+        RobotError: It is not installed.
+    """
+    try:
+        from ruamel.yaml import YAML
+    except ImportError:
+        raise RobotError("a station needs the package ruamel.yaml: pip install 'see2act[real]'") from None
+    return YAML(**options)
+
+
 def _update(document: CommentedMap, section: BaseModel, depth: int = 0) -> None:
     """Bring a mapping of YAML up to a section's values. New keys get the section's description as a comment."""
+    from ruamel.yaml.comments import CommentedMap
+
     fields = type(section).model_fields
     for name in sorted(fields, key=lambda name: name != "kind"):  # a tool's kind first
         value, description, new = getattr(section, name), fields[name].description, name not in document
@@ -342,6 +364,8 @@ def _update(document: CommentedMap, section: BaseModel, depth: int = 0) -> None:
 
 def _as_yaml(value: Any) -> Any:
     """A value with lists of numbers on one line, so that a pose reads as one."""
+    from ruamel.yaml.comments import CommentedSeq
+
     if not isinstance(value, tuple):
         return value
     items = CommentedSeq(_as_yaml(item) for item in value)
