@@ -20,8 +20,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.stand_in.cell import StandInCell
+from benchmarks.stand_in.person import Person
 from see2act.experiment import attempts
-from see2act.robot.types import Split
 
 HOST = "127.42.0.1"
 PROMPT = re.compile(r">> (.+)\n>> $", re.DOTALL)
@@ -30,8 +30,8 @@ SHORT = ("collect.interactions=8", "collect.per_scene=4", "evaluate.runs=1", "fi
 TEST = ("evaluate.attempts.seen=5", "evaluate.attempts.unseen=5")
 
 
-class Person:
-    """Types the command, and answers it as somebody at the station would.
+class Session:
+    """Types a command, and hands its questions to the person at the station.
 
     Args:
         command: Of the run.
@@ -40,7 +40,7 @@ class Person:
 
     def __init__(self, command: Sequence[str], cell: StandInCell):
         self._command, self._cell = command, cell
-        self.asked: list[str] = []
+        self.person = Person(cell)
 
     def run(self, kill_after: float | None = None) -> int | None:
         """Type the command and answer until it ends.
@@ -64,21 +64,12 @@ class Person:
                 said = (said + piece)[-4000:]
             if request := PROMPT.search(said):
                 said = ""
-                self.asked.append(request[1])
-                process.stdin.write(f"{self._answer(request[1])}\n".encode())
+                process.stdin.write(f"{self.person.ask(request[1])}\n".encode())
             if kill_after is not None and time.monotonic() - started > kill_after and self._cell.moving():
                 process.send_signal(signal.SIGKILL)
                 process.wait()
                 return None
         return process.returncode
-
-    def _answer(self, request: str) -> str:
-        scene = re.match(r"Scene (\d+): .* of the (seen|unseen) objects", request)
-        if scene:
-            split: Split = "seen" if scene[2] == "seen" else "unseen"
-            self._cell.fill(int(scene[1]), split)
-            return ""
-        return "yes"
 
 
 def main() -> None:
@@ -97,9 +88,9 @@ def main() -> None:
     try:
         place = [f"robot.station={args.out}/station.yaml", f"camera.folder={args.out}/camera"]
         place += [f"collect.folder={args.out}/observations"]
-        person = Person([sys.executable, "train.py", *REAL, *place, *given, f"hydra.run.dir={args.out}/real"], cell)
+        session = Session([sys.executable, "train.py", *REAL, *place, *given, f"hydra.run.dir={args.out}/real"], cell)
         kills = 0
-        while (status := person.run(args.every if kills < args.kill else None)) is None:
+        while (status := session.run(args.every if kills < args.kill else None)) is None:
             kills += 1
             print(f"\n[kill {kills} of {args.kill}]\n", flush=True)
     finally:

@@ -217,9 +217,8 @@ class _Cell:
     def offset(self) -> tuple[float, float]:
         if self._board is None or self._board_carried:
             raise ValueError("no board lies in the bin")
-        tip = (np.linalg.inv(self._world) @ stations.matrix(self.controller.tip()))[:3, 3]
         corners = BOARD.corners() @ self._board[:3, :3].T + self._board[:3, 3]
-        away = tip - corners
+        away = self._tip()[:3, 3] - corners
         nearest = away[np.argmin(np.linalg.norm(away[:, :2], axis=1))]
         return float(np.linalg.norm(nearest[:2])), float(nearest[2])
 
@@ -280,16 +279,17 @@ class _Cell:
         if self._board is not None:
             carrier = np.eye(4)
             if self._board_carried:
-                tip = np.linalg.inv(self._world) @ stations.matrix(self.controller.tip())
-                carrier = tip @ np.linalg.inv(stations.matrix(self.controller.state.tcp))
+                carrier = self._tip() @ np.linalg.inv(stations.matrix(self.controller.state.tcp))
             pose = np.linalg.inv(camera.pose) @ carrier @ self._board
             color, depth = with_board(color, depth, BOARD, pose, camera.intrinsics - CENTRE)
-        glass = np.isin(body, [b.id for b in self.robot.scene.bodies if b.transparent])
-        sensed = camera.sense(depth, glass, self.robot._noise)
-        write_pair(self._folder / "camera", f"{self._shots:06}", color, sensed, 1e-4)
+        write_pair(self._folder / "camera", f"{self._shots:06}", color, self.robot._sensed(depth, body), 1e-4)
         self._shots += 1
         for old in (self._folder / "camera").glob(f"{self._shots - KEPT:06}.*"):
             old.unlink()
+
+    def _tip(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the tool's tip in the world."""
+        return np.linalg.inv(self._world) @ stations.matrix(self.controller.tip())
 
     def _joints(self) -> stations.Joints:
         arm = self.robot.arm

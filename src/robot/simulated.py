@@ -165,8 +165,7 @@ class SimulatedRobot(Robot):
 
     def observe(self) -> Observation:
         color, depth, body = self._look()
-        glass = np.isin(body, [b.id for b in self.scene.bodies if b.transparent])
-        sensed = self._present_camera.sense(depth, glass, self._noise)
+        sensed = self._sensed(depth, body)
         return Observation(self._heightmap(color, sensed), color, sensed)
 
     def truth(self) -> Truth:
@@ -255,6 +254,11 @@ class SimulatedRobot(Robot):
         """Render the bin without the table and without the arm, which a real set-up would move out of view."""
         with self.simulation.hidden(self.arm.body, self.scene.table):
             return self._present_camera.render(self.simulation)
+
+    def _sensed(self, depth: np.ndarray, body: np.ndarray) -> np.ndarray:
+        """Depth as the scene's camera measures it."""
+        glass = np.isin(body, [b.id for b in self.scene.bodies if b.transparent])
+        return self._present_camera.sense(depth, glass, self._noise)
 
     def _heightmap(self, color: np.ndarray, depth: np.ndarray) -> Heightmap:
         points = hm.point_cloud(depth, self.camera.intrinsics, self.camera.pose)

@@ -208,14 +208,18 @@ class Station(_Section):
         """What the tool can do."""
         return "grasp" if self.tool.kind in ("rg2_modbus", "rg2_io") else "suction"
 
+    def missing(self) -> list[str]:
+        """Parts that are not there yet, keys of :data:`WRITTEN_BY`, in the order in which the commands write them."""
+        return [part for part in WRITTEN_BY if getattr(self.robot if part in ("home", "drop") else self, part) is None]
+
     def demand(self, *parts: str) -> None:
         """Refuse a station that lacks one of these parts, keys of :data:`WRITTEN_BY`.
 
         Raises:
             RobotError: With the command that writes the first that is missing.
         """
-        for part in parts:
-            if getattr(self.robot if part in ("home", "drop") else self, part) is None:
+        for part in self.missing():
+            if part in parts:
                 raise RobotError(f"the station has no {part}: type `python real.py {WRITTEN_BY[part]}`")
 
     def demand_camera(self, serial: str) -> None:

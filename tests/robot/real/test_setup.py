@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
+import shutil
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from benchmarks.stand_in.cell import BRACKET, StandInCell
 from benchmarks.stand_in.person import Person
+from see2act.commands.demo import main as demo
 from see2act.commands.real import main
 from see2act.robot.real import cell as cells
 from see2act.robot.real import station as stations
@@ -22,6 +26,18 @@ from see2act.robot.types import RobotError
 from tests.robot.real.conftest import WORKER
 
 HOST = f"127.{WORKER}.98.1"
+NEW = ("new", "--host", HOST, "--tool", "vacuum_io", "--tip", "0.14")
+
+
+class Step(NamedTuple):
+    """A station after one of the commands."""
+
+    path: Path
+    said: str
+
+    @property
+    def station(self) -> Station:
+        return stations.load(self.path)
 
 
 @pytest.fixture(scope="module")
@@ -37,23 +53,53 @@ def cell(folder: Path) -> Iterator[StandInCell]:
     cell.close()
 
 
-@pytest.fixture
-def person(cell: StandInCell, monkeypatch: pytest.MonkeyPatch) -> Person:
+@pytest.fixture(scope="module")
+def person(cell: StandInCell) -> Iterator[Person]:
+    """Answers at the terminal. Speeds and counts are those of a test, not of a robot."""
     person = Person(cell)
-    monkeypatch.setattr(Terminal, "ask", lambda self, request: person.ask(request))
-    return person
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Terminal, "ask", lambda self, request: person.ask(request))
+        patch.setattr(calibrate, "SPEED", 1.0)
+        patch.setattr(calibrate, "REST", 0.1)
+        patch.setattr(calibrate, "WANTED", 16)
+        yield person
 
 
-@pytest.fixture(autouse=True)
-def _fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibrate, "SPEED", 1.0)
-    monkeypatch.setattr(calibrate, "REST", 0.1)
-    monkeypatch.setattr(calibrate, "WANTED", 16)
+@pytest.fixture(scope="module")
+def new(folder: Path, person: Person) -> Step:
+    return done(None, folder / "new.yaml", *NEW)
 
 
-@pytest.fixture
-def path(folder: Path) -> Path:
-    return folder / "station.yaml"
+@pytest.fixture(scope="module")
+def taught(new: Step) -> Step:
+    copy = new.path.with_name("taught.yaml")
+    copy.write_text(new.path.read_text().replace(f"host: {HOST}", f"host: {HOST}  # ours"))
+    return done(copy, copy, "teach")
+
+
+@pytest.fixture(scope="module")
+def calibrated(taught: Step) -> Step:
+    return done(taught.path, taught.path.with_name("calibrated.yaml"), "calibrate", "--centre", *map(str, BRACKET))
+
+
+@pytest.fixture(scope="module")
+def touched(calibrated: Step) -> Step:
+    return done(calibrated.path, calibrated.path.with_name("touched.yaml"), "touch")
+
+
+@pytest.fixture(scope="module")
+def ready(touched: Step) -> Step:
+    return done(touched.path, touched.path.with_name("station.yaml"), "background")
+
+
+def done(before: Path | None, path: Path, *command: str) -> Step:
+    """Type a command at a copy of the station."""
+    if before is not None and before != path:
+        shutil.copy(before, path)
+    said = io.StringIO()
+    with redirect_stdout(said):
+        typed(path, *command)
+    return Step(path, said.getvalue())
 
 
 def typed(path: Path, command: str, *more: str) -> None:
@@ -65,33 +111,33 @@ def configured(path: Path) -> list[str]:
     return [*camera, "robot.tool_speed=1.0", "robot.descent_speed=1.0", "robot.joint_speed=3.0"]
 
 
-def checked(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, tuple[str, str]]:
-    capsys.readouterr()
-    with suppress(SystemExit):
-        typed(path, "check", "--json")
-    return {line["part"]: (line["verdict"], line["text"]) for line in json.loads(capsys.readouterr().out)}
+def checked(step: Step) -> dict[str, tuple[str, str]]:
+    said = io.StringIO()
+    with redirect_stdout(said), suppress(SystemExit):
+        typed(step.path, "check", "--json")
+    return {line["part"]: (line["verdict"], line["text"]) for line in json.loads(said.getvalue())}
 
 
-def test_new_writes_a_station_that_can_be_read(path: Path, person: Person) -> None:
-    typed(path, "new", "--host", HOST, "--tool", "vacuum_io", "--tip", "0.14")
-    station = stations.load(path)
-    assert station.robot.host == HOST
-    assert station.tool.kind == "vacuum_io"
-    assert "# Address of the controller." in path.read_text()
+def views(step: Step) -> list[Path]:
+    return list(step.path.parent.glob("calibration-*.npz"))
 
 
-def test_new_does_not_overwrite(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = path.read_text()
+def test_new_writes_a_station_that_can_be_read(new: Step) -> None:
+    assert new.station.robot.host == HOST
+    assert new.station.tool.kind == "vacuum_io"
+    assert "# Address of the controller." in new.path.read_text()
+
+
+def test_new_does_not_overwrite(new: Step) -> None:
+    before = new.path.read_text()
     with pytest.raises(SystemExit, match="is there already"):
-        typed(path, "new", "--host", HOST, "--tool", "vacuum_io", "--tip", "0.14")
-    assert path.read_text() == before
+        typed(new.path, *NEW)
+    assert new.path.read_text() == before
 
 
-def test_check_says_what_is_to_be_done(
-    path: Path, person: Person, cell: StandInCell, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_says_what_is_to_be_done(new: Step, cell: StandInCell) -> None:
     before = cell.moves()
-    found = checked(path, capsys)
+    found = checked(new)
     assert found["home"] == ("to do", "type `python real.py teach`")
     assert found["calibration"] == ("to do", "type `python real.py calibrate`")
     assert found["controller"][0] == "ok"
@@ -100,112 +146,85 @@ def test_check_says_what_is_to_be_done(
     assert cell.moves() == before
 
 
-@pytest.mark.parametrize(("command", "first"), [("calibrate", "teach"), ("touch", "teach"), ("background", "teach")])
-def test_a_command_names_the_one_before_it(path: Path, person: Person, command: str, first: str) -> None:
-    with pytest.raises(SystemExit, match=f"real.py {first}"):
-        typed(path, command)
+@pytest.mark.parametrize("command", ["calibrate", "touch", "background"])
+def test_a_command_names_the_one_before_it(new: Step, command: str) -> None:
+    with pytest.raises(SystemExit, match=r"real\.py teach"):
+        typed(new.path, command)
 
 
-def test_teach_keeps_the_places(path: Path, person: Person, capsys: pytest.CaptureFixture[str]) -> None:
-    path.write_text(path.read_text().replace(f"host: {HOST}", f"host: {HOST}  # ours"))
-    typed(path, "teach")
-    station = stations.load(path)
-    assert station.robot.home is not None
-    assert station.robot.drop is not None
-    assert "# ours" in path.read_text()
-    assert "mm deep" in capsys.readouterr().out
-    assert station.world()[2, 2] == pytest.approx(1)
+def test_teach_keeps_the_places(taught: Step) -> None:
+    assert taught.station.robot.home is not None
+    assert taught.station.robot.drop is not None
+    assert "# ours" in taught.path.read_text()
+    assert "mm deep" in taught.said
+    assert taught.station.world()[2, 2] == pytest.approx(1)
 
 
-def test_calibrate_finds_the_camera(path: Path, person: Person, cell: StandInCell, capsys: pytest.CaptureFixture[str]) -> None:
-    typed(path, "calibrate", "--centre", *map(str, BRACKET))
-    calibration = stations.load(path).calibration
+def test_calibrate_finds_the_camera(calibrated: Step, cell: StandInCell, tmp_path: Path) -> None:
+    calibration = calibrated.station.calibration
     assert calibration is not None
     assert calibration.views >= 12
     assert cell.error(np.array(calibration.camera)) < 0.002
-    assert "good" in capsys.readouterr().out
-    kept = list(path.parent.glob("calibration-*.npz"))
-    assert len(kept) == 1
-    typed(path, "calibrate", "--views", str(kept[0]))
-    again = stations.load(path).calibration
-    assert again is not None
-    assert again.camera == calibration.camera
+    assert "good" in calibrated.said
+    assert len(views(calibrated)) == 1
+    again = done(calibrated.path, tmp_path / "station.yaml", "calibrate", "--views", str(views(calibrated)[0]))
+    assert again.station.calibration is not None
+    assert again.station.calibration.camera == calibration.camera
 
 
-def test_touch_ends_the_slow_speed(path: Path, person: Person) -> None:
-    assert not stations.load(path).trusted
-    typed(path, "touch")
-    station = stations.load(path)
-    assert station.trusted
+def test_touch_ends_the_slow_speed(calibrated: Step, touched: Step, person: Person) -> None:
+    assert not calibrated.station.trusted
+    assert touched.station.trusted
     assert sum(request.startswith("Point") for request in person.asked) == 5
 
 
-def test_background_sees_the_floor_where_it_was_taught(path: Path, person: Person, capsys: pytest.CaptureFixture[str]) -> None:
-    typed(path, "background")
-    station = stations.load(path)
-    assert station.background
-    assert (path.parent / station.background).is_file()
-    assert "warning" not in capsys.readouterr().out
+def test_background_sees_the_floor_where_it_was_taught(ready: Step) -> None:
+    assert ready.station.background
+    assert (ready.path.parent / ready.station.background).is_file()
+    assert "warning" not in ready.said
 
 
-def test_check_is_content_in_the_end(path: Path, person: Person, capsys: pytest.CaptureFixture[str]) -> None:
-    found = checked(path, capsys)
+def test_check_is_content_in_the_end(ready: Step) -> None:
+    found = checked(ready)
     assert {part for part, (verdict, _) in found.items() if verdict != "ok"} == set()
     assert "reach" in found
     assert "vacuum_io" in found
 
 
-def test_another_calibration_wants_another_touch_test(path: Path, person: Person) -> None:
-    before = path.read_text()
-    typed(path, "calibrate", "--views", str(next(path.parent.glob("calibration-*.npz"))))
-    assert stations.load(path).touch is None
-    path.write_text(before)
+def test_another_calibration_wants_another_touch_test(touched: Step, tmp_path: Path) -> None:
+    again = done(touched.path, tmp_path / "station.yaml", "calibrate", "--views", str(views(touched)[0]))
+    assert again.station.touch is None
 
 
-def test_a_bin_out_of_reach_is_refused_before_anything_moves(path: Path, person: Person, cell: StandInCell) -> None:
-    before, text = cell.moves(), path.read_text()
-    station = stations.load(path)
+def test_a_bin_out_of_reach_is_refused_before_anything_moves(ready: Step, cell: StandInCell) -> None:
+    before, station = cell.moves(), ready.station
     assert station.bin is not None
     far = tuple((x - 0.6, y, z) for x, y, z in station.bin)
+    path = ready.path.with_name("far.yaml")
     stations.save(Station.model_validate({**station.model_dump(), "bin": far}), path)
-    try:
-        with pytest.raises(SystemExit, match="cannot reach"):
-            typed(path, "touch")
-    finally:
-        path.write_text(text)
+    with pytest.raises(SystemExit, match="cannot reach"):
+        typed(path, "touch")
     assert cell.moves() == before
 
 
-def test_corners_of_no_rectangle_are_refused(path: Path, person: Person, cell: StandInCell) -> None:
-    text = path.read_text()
-    lead = cell.lead
-    cell.lead = lambda place: lead("home" if place == "far left" else place)  # type: ignore[method-assign]
-    try:
-        with pytest.raises(SystemExit, match="not those of a rectangle"):
-            typed(path, "teach", "--places", "bin")
-    finally:
-        del cell.lead  # type: ignore[method-assign]
-    assert path.read_text() == text
+def test_corners_of_no_rectangle_are_refused(ready: Step, cell: StandInCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    text, lead = ready.path.read_text(), cell.lead
+    monkeypatch.setattr(cell, "lead", lambda place: lead("home" if place == "far left" else place))
+    with pytest.raises(SystemExit, match="not those of a rectangle"):
+        typed(ready.path, "teach", "--places", "bin")
+    assert ready.path.read_text() == text
 
 
-def test_a_file_that_holds_no_views_is_refused(path: Path, tmp_path: Path, person: Person) -> None:
+def test_a_file_that_holds_no_views_is_refused(ready: Step, tmp_path: Path) -> None:
     wrong = tmp_path / "views.npz"
     np.savez(wrong, other=np.zeros(3))
     with pytest.raises(SystemExit, match="holds no views"):
-        typed(path, "calibrate", "--views", str(wrong))
+        typed(ready.path, "calibrate", "--views", str(wrong))
 
 
-def test_demo_hovers_above_its_picks(path: Path, person: Person, cell: StandInCell, tmp_path: Path) -> None:
-    from see2act.commands.demo import main as demo
-
-    overrides = [
-        "robot=ur5_real",
-        f"robot.station={path}",
-        "primitive=suction",
-        "evaluate.attempts.unseen=2",
-        *configured(path),
-    ]
-    demo([*overrides, "--dry-run", "--out", str(tmp_path)])
+def test_demo_hovers_above_its_picks(ready: Step, tmp_path: Path) -> None:
+    overrides = ["robot=ur5_real", f"robot.station={ready.path}", "primitive=suction", "evaluate.attempts.unseen=2"]
+    demo([*overrides, *configured(ready.path), "--dry-run", "--out", str(tmp_path)])
     assert list(tmp_path.glob("*/strip.png"))
 
 

@@ -27,7 +27,7 @@ from see2act.robot.real.views import View, bin_points, propose, seen
 from see2act.robot.types import RobotError
 
 WANTED = 25
-"""Views; docs/results of benchmarks/calibration.py say what more and fewer do."""
+"""Views. `python -m benchmarks.calibration` shows what more and fewer do."""
 PROPOSED = 100
 """Poses of which those are tried, until there are enough views, that the arm can reach and that stay above the bin."""
 SPEED = 0.1

@@ -16,7 +16,7 @@ from see2act.robot.real.calibration import GOOD, USABLE
 from see2act.robot.real.camera import DepthCamera
 from see2act.robot.real.cell import only_arm, only_camera
 from see2act.robot.real.operator import Terminal
-from see2act.robot.real.routes import Routes
+from see2act.robot.real.routes import AT_HOME, Routes
 from see2act.robot.real.station import CLEAN, WRITTEN_BY, Station
 from see2act.robot.real.ur import UrArm
 from see2act.robot.types import RobotError
@@ -63,9 +63,8 @@ def _package(name: str) -> Verdict:
 
 def _steps(station: Station) -> Iterator[Verdict]:
     """What the commands have written."""
-    for part, command in WRITTEN_BY.items():
-        if getattr(station.robot if part in ("home", "drop") else station, part) is None:
-            yield Verdict(part, "to do", f"type `python real.py {command}`")
+    for part in station.missing():
+        yield Verdict(part, "to do", f"type `python real.py {WRITTEN_BY[part]}`")
     if station.bin:
         yield _tried("bin", lambda: "{:.0f} x {:.0f} mm".format(*(1000 * side for side in station.bin_size())))
     if calibration := station.calibration:
@@ -102,7 +101,7 @@ def _arm(path: Path, station: Station, routes: dict[str, float]) -> Iterator[Ver
                 home = station.robot.home
                 yield _tried("reach", lambda: _reach(arm, station, routes))
                 off = float(np.abs(np.subtract(home, arm.joints)).max())
-                yield Verdict("arm", "ok", "at home" if off < 0.02 else f"{np.degrees(off):.0f} degrees from home")
+                yield Verdict("arm", "ok", "at home" if off < AT_HOME else f"{np.degrees(off):.0f} degrees from home")
             yield from _tool(station, arm)
     except RobotError as error:
         yield Verdict("arm", "FAILED", str(error))
