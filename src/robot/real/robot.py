@@ -14,11 +14,12 @@ from see2act.robot.real import station as stations
 from see2act.robot.real import tools
 from see2act.robot.real.camera import DepthCamera
 from see2act.robot.real.cell import Cell, connected
+from see2act.robot.real.controller import ProtectiveStop
 from see2act.robot.real.operator import Operator, Terminal
 from see2act.robot.real.projection import Projection
 from see2act.robot.real.routes import LIFT, Routes
 from see2act.robot.real.station import Station
-from see2act.robot.real.ur import ProtectiveStop, UrArm
+from see2act.robot.real.ur import UrArm
 from see2act.robot.robot import Robot
 from see2act.robot.types import Cause, Heightmap, NotNegative, Observation, Outcome, Pick, RobotError, Split
 from see2act.robot.workspace import Workspace

@@ -13,8 +13,9 @@ import pytest
 
 from benchmarks.stand_in.process import ControllerProcess
 from see2act.robot.real.box import Box
+from see2act.robot.real.controller import ArmError, LinkLost, ProtectiveStop
 from see2act.robot.real.station import CalibrationSection, Station, TouchSection
-from see2act.robot.real.ur import ArmError, LinkLost, ProtectiveStop, UrArm
+from see2act.robot.real.ur import UrArm
 
 Later = Callable[..., None]
 SLOW_ENOUGH = 0.1

@@ -19,10 +19,11 @@ from see2act.robot.real.calibration import VIEWS, Calibration
 from see2act.robot.real.calibration import calibrate as computed
 from see2act.robot.real.camera import DepthCamera
 from see2act.robot.real.cell import only_arm, only_camera
+from see2act.robot.real.controller import OutOfReach
 from see2act.robot.real.operator import Operator
 from see2act.robot.real.setup.clock import now, today
 from see2act.robot.real.station import CalibrationSection, Station
-from see2act.robot.real.ur import OutOfReach, UrArm
+from see2act.robot.real.ur import UrArm
 from see2act.robot.real.views import View, bin_points, propose, seen
 from see2act.robot.types import RobotError
 
