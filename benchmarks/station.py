@@ -84,7 +84,8 @@ def main() -> None:
     if args.out.exists():
         sys.exit(f"{args.out} exists: give another --out")
     given = [f"finetune.attempts={args.attempts}", f"evaluate.at=[{args.attempts}]", *SHORT, *TEST, *args.overrides]
-    cell = StandInCell(HOST, args.out, ["robot.bin.floor=plain"])
+    scene = [word for word in args.overrides if word.split("=")[0] in ("primitive", "objects", "workspace")]
+    cell = StandInCell(HOST, args.out, ["robot.bin.floor=plain", *scene])
     try:
         place = [f"robot.station={args.out}/station.yaml", f"camera.folder={args.out}/camera"]
         place += [f"collect.folder={args.out}/observations"]

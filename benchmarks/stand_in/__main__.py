@@ -7,9 +7,11 @@ the camera shows a calibration board where there is one. What the other terminal
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.stand_in.cell import BRACKET, PLACES, StandInCell
+from see2act.robot.real.station import Rg2Modbus
 from see2act.robot.types import Split
 
 HELP = f"""  SCENE seen, SCENE unseen       fill the bin; SCENE is the number that a run asks for
@@ -30,20 +32,11 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="configuration of the simulated robot behind it")
     args = parser.parse_intermixed_args()
     cell = StandInCell(args.host, args.folder, args.overrides, args.unboxed)
-    folder = args.folder
-    camera = f"camera=files camera.folder={folder}/camera camera.frames=1"
-    print(f"a cup over a bin, its controller at {args.host}. In another terminal:\n")
-    if args.unboxed:
-        station = f"--station {folder}/station.yaml"
-        print(f"python real.py new {station} --host {args.host} --tool vacuum_io --tip 0.14")
-        print(f"python real.py teach {station}")
-        for command in (f"calibrate --centre {' '.join(map(str, BRACKET))}", "touch", "background", "check"):
-            print(f"python real.py {command} {station} {camera}")
-    print(f"python demo.py robot=ur5_real --dry-run primitive=suction robot.station={folder}/station.yaml {camera}")
     print(
-        f"python train.py robot=ur5_real robot.station={folder}/station.yaml {camera} collect.folder={folder}/observations "
-        "collect.interactions=8 primitive=suction task=none transfer=none finetune.attempts=30\n\n"
-        f"Here, as the person at the station, type\n{HELP}"
+        f"{cell.tool.kind} over a bin, its controller at {args.host}. In another terminal:\n",
+        *_commands(cell, args),
+        f"\nHere, as the person at the station, type\n{HELP}",
+        sep="\n",
     )
     try:
         while (words := input("> ").split()) != ["quit"]:
@@ -55,6 +48,28 @@ def main() -> None:
         pass
     finally:
         cell.close()
+
+
+def _commands(cell: StandInCell, args: argparse.Namespace) -> Iterator[str]:
+    """What to type in the other terminal, in this order."""
+    folder, tool = args.folder, cell.tool
+    station, camera = f"{folder}/station.yaml", f"camera=files camera.folder={folder}/camera camera.frames=1"
+    if args.unboxed:
+        new = f"python real.py new --station {station} --host {args.host} --tool {tool.kind} --tip {tool.tip:.4f}"
+        if isinstance(tool, Rg2Modbus):
+            yield f"{new} --tool-host {args.host}"
+            yield f"sed -i 's/port: 502/port: {tool.port}/; s/opening: .*/opening: {tool.opening:.3f}/' {station}"
+        else:
+            yield new
+        yield f"python real.py teach --station {station}"
+        for command in (f"calibrate --centre {' '.join(map(str, BRACKET))}", "touch", "background", "check"):
+            yield f"python real.py {command} --station {station} {camera}"
+    primitive = next((word for word in args.overrides if word.startswith("primitive=")), "primitive=suction")
+    yield f"python demo.py robot=ur5_real --dry-run {primitive} robot.station={station} {camera}"
+    yield (
+        f"python train.py robot=ur5_real robot.station={station} {camera} collect.folder={folder}/observations "
+        f"collect.interactions=8 {primitive} task=none transfer=none finetune.attempts=30"
+    )
 
 
 def _do(cell: StandInCell, words: list[str]) -> None:

@@ -18,19 +18,18 @@ from jaxtyping import Float
 
 from benchmarks.stand_in.board import with_board
 from benchmarks.stand_in.controller import Controller
+from benchmarks.stand_in.tools import stand_in_for
 from see2act.experiment.build import robot_factory
 from see2act.experiment.config import composed
 from see2act.robot.arm import HOME_ANGLE, JOINTS, pointing_down
-from see2act.robot.end_effector import EndEffector
 from see2act.robot.real import station as stations
 from see2act.robot.real.board import Board
 from see2act.robot.real.image_folder import Description, describe, write_pair
 from see2act.robot.real.projection import CENTRE
-from see2act.robot.real.station import CalibrationSection, RobotSection, Station, TouchSection, VacuumOutput
+from see2act.robot.real.station import CalibrationSection, RobotSection, Station, TouchSection
 from see2act.robot.real.views import bin_points
 from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
-from see2act.robot.suction import SuctionCup
 from see2act.robot.types import Split
 
 SERIAL = "stand-in"
@@ -39,13 +38,9 @@ FASTEST = 10.0
 SHOT_EVERY = 0.15
 """Seconds of real time between images while the arm is at rest."""
 REST = 240
-"""Timesteps without motion and vacuum, a second, after which nothing is simulated until something happens."""
+"""Timesteps without motion of arm and tool, a second, after which nothing is simulated until something happens."""
 KEPT = 20
 """Images in the folder."""
-SEAL_EVERY = 12
-"""Timesteps between a resting cup's trials to seal: 50 ms."""
-VOLTS = (1.0, 5.0)
-"""Of the pressure sensor at ambient pressure, and at 100 kPa below it."""
 CORNERS = {"near left": (-1.0, 1.0, 0.0), "near right": (-1.0, -1.0, 0.0), "far left": (1.0, 1.0, 0.0)}
 PLACES = {"home": (0.0, 0.0, 0.0), "drop": (0.0, 0.0, 0.0), **CORNERS, "board": (-0.05, 0.0, 0.15)}
 """Where a hand leads the tip: shares of half the bin, and metres above its floor. Home and the drop are known by joints."""
@@ -75,7 +70,8 @@ class StandInCell:
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._process.start()
         theirs.close()
-        self._pipe.recv()
+        self.tool: stations.Tool = self._pipe.recv()
+        """What a station's file says of the tool."""
 
     def fill(self, scene_seed: int, split: Split) -> None:
         """What a person does when asked for a scene."""
@@ -145,13 +141,13 @@ class _Cell:
         large = ["camera.width=1280", "camera.height=720", "camera.focal=930"] if unboxed else []
         cfg = composed(["task=none", "transfer=none", *large, *overrides, "robot.motion=full"])
         robot: SimulatedRobot = robot_factory(cfg, cfg.primitive)()
-        self.robot, self.tool, self._folder = robot, robot.tool, folder
+        self.robot, self._folder = robot, folder
         if unboxed:  # all of its image, at the sensor's resolution: markers are small
             robot.camera = replace(robot.camera, crop=None)
         robot.background()  # builds the empty bin and the arm
         self.controller = Controller(host)
         self.controller.state.q = np.array(self._joints())
-        self._on = self._sealed = False
+        self.tool = stand_in_for(robot.tool, self.controller.state, host)
         self._steps, self._busy_until, self._shots, self._next_shot = 0, REST, 0, 0.0
         self._home = self._joints()
         self._world = np.diag([-1.0, -1.0, 1.0, 1.0])  # to the controller's base, which is turned by half a turn
@@ -167,7 +163,7 @@ class _Cell:
     def answer(self, what: str, arguments: tuple) -> Any:
         if what == "fill":
             self.robot.reset(*arguments)
-            self._on = self._sealed = False
+            self.tool.reset()
             self._busy_until = self._steps + REST
             self.controller.state.q = np.array(self._joints())
             return None
@@ -229,8 +225,7 @@ class _Cell:
 
     def step(self) -> None:
         """One timestep of everything that is not at rest, and an image when it is time for one."""
-        state = self.controller.state
-        if self.controller.moving or self._on or state.outputs & 1:
+        if self.controller.moving or self.tool.active:
             self._busy_until = self._steps + REST
         if self._steps < self._busy_until:
             self._simulate()
@@ -245,29 +240,10 @@ class _Cell:
         robot.arm._command(state.q, np.zeros(6))
         robot.simulation.step()
         self._steps += 1
-        self._switch(bool(state.outputs & 1))
-        if self._on and not self._sealed and not self.controller.moving and self._steps % SEAL_EVERY == 0:
-            self.tool.engage()
-            self._sealed = self.tool.engaged()
-        self.tool.update_hold()
-        self._sense()
-
-    def _switch(self, on: bool) -> None:
-        if on == self._on:
-            return
-        self._on, self._sealed = on, False
-        if on:
-            self.tool.prepare()
-        else:
-            self.tool.release()
-            self.robot.scene.settle()
-            self.robot.scene.clear_lost()
-
-    def _sense(self) -> None:
-        state, tool = self.controller.state, self.tool
-        kilopascals = tool.pressure if self._on and isinstance(tool, SuctionCup) else 0.0
-        state.analog[0] = VOLTS[0] + (VOLTS[1] - VOLTS[0]) * kilopascals / 100
-        points = self.robot.simulation.client.getContactPoints(bodyA=self.robot.arm.body)
+        if self.tool.step(at_rest=not self.controller.moving):
+            robot.scene.settle()
+            robot.scene.clear_lost()
+        points = robot.simulation.client.getContactPoints(bodyA=robot.arm.body)
         state.force = [0.0, 0.0, float(sum(point[9] for point in points)), 0.0, 0.0, 0.0]
 
     def _shoot(self) -> None:
@@ -332,7 +308,7 @@ class _Cell:
         stations.save(
             Station(
                 robot=RobotSection(host=host, home=self._joints(), drop=DROP),
-                tool=_tool(self.tool),
+                tool=self.tool.section,
                 bin=(corners[0], corners[1], corners[2]),
                 calibration=calibration,
                 touch=TouchSection(offset=0.0, serial=SERIAL, date="2026-01-01"),
@@ -348,17 +324,10 @@ def _moved(by: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
     return pose
 
 
-def _tool(tool: EndEffector) -> VacuumOutput:
-    assert isinstance(tool, SuctionCup), "a gripper has no stand-in at the controller's outputs yet"
-    return VacuumOutput(
-        tip=tool.length(), mass=0.5, depth=tool.press, floor_gap=0.0005, analog=0, volts=VOLTS, seconds=1.0, threshold=20.0
-    )
-
-
 def _serve(host: str, folder: Path, overrides: list[str], unboxed: bool, pipe: Connection) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     cell = _Cell(host, folder, overrides, unboxed)
-    pipe.send("ready")
+    pipe.send(cell.tool.section)
     last, behind = time.monotonic(), 0.0
     while True:
         now = time.monotonic()

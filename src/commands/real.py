@@ -149,7 +149,13 @@ def _parser(command: str, prog: str) -> argparse.ArgumentParser:
     if command == "new":
         add("--host", required=True, help="address of the arm's controller")
         add("--tool", required=True, choices=sorted(new.TOOLS), help="what is at the flange")
-        add("--tip", required=True, type=float, metavar="M", help="metres from the flange to the open tool's lowest point")
+        add(
+            "--tip",
+            required=True,
+            type=float,
+            metavar="M",
+            help="metres from the flange to the tool's lowest point, fingers closed",
+        )
         add("--tool-host", metavar="HOST", help="address of OnRobot's Compute Box, where the tool has one")
         add("--mass", type=float, metavar="KG", help="of tool and cables (default: a data sheet's)")
     elif command == "check":

@@ -35,6 +35,8 @@ STILL_STEPS = 12
 STILL = 0.001
 """Fingers are at rest if the driver joint stays within this many radians for ``STILL_STEPS``: 0.02 rad/s. The momentary speed
 cannot be used: fingers that squeeze an object tremble at up to 0.05 rad/s without moving on."""
+OPEN, CLOSED = 0.0, 0.8
+"""Angles of the driver joint, radians."""
 FLOOR_GAP = 0.002
 """Smallest distance between the closing pads and the floor, metres."""
 
@@ -66,7 +68,7 @@ class Gripper(EndEffector):
         contact_limit: NotNegative,
         size: NotNegative = 1.0,
     ):
-        self._depth = depth
+        self.depth = depth
         self._torque = torque
         self._speed = speed
         self._close_steps = close_steps
@@ -96,17 +98,25 @@ class Gripper(EndEffector):
                 arm.body, arm.link_index[name], lateralFriction=self._friction, spinningFriction=0.005, frictionAnchor=1
             )
         self._recent: deque[float] = deque(maxlen=STILL_STEPS + 1)
-        self._drive(0.0)
+        self.drive(OPEN)
 
     def length(self) -> float:
         return PAD_CENTRE * self.size
 
     def depth_at(self, surface: np.ndarray) -> np.ndarray:
-        return np.maximum(surface - self._depth, PAD_HALF_HEIGHT * self.size + self.swing(np.array(0.0)) + FLOOR_GAP)
+        return np.maximum(surface - self.depth, self.reach() + FLOOR_GAP)
+
+    def reach(self) -> float:
+        """Metres from the middle of the open pads down to the lower ends of the closed ones."""
+        return float(PAD_HALF_HEIGHT * self.size + self.swing(np.array(0.0)))
 
     def opening(self, angle: float) -> float:
         """Metres between the pads at a driver joint angle in radians."""
         return float(2 * self.size * (PAD_AT_KNUCKLE + CRANK * np.sin(CRANK_OPEN - angle)))
+
+    def present_opening(self) -> float:
+        """Metres between the pads now."""
+        return self.opening(self._angle())
 
     def swing(self, width: np.ndarray) -> np.ndarray:
         """Metres by which the pads, which close along an arc, are lower at an opening of ``width`` metres than fully open."""
@@ -117,18 +127,16 @@ class Gripper(EndEffector):
         if self._arm.jumps:
             return  # it has been open since the last release
         seconds = self._arm.seconds
-        self._drive(0.0)
-        self._recent.clear()
+        self.drive(OPEN)
         self._wait_until_still()
         self._arm.seconds = seconds  # not counted: a real gripper opens while the arm moves
 
     def engage(self) -> None:
-        self._drive(0.8)
-        self._recent.clear()
+        self.drive(CLOSED)
         self._wait_until_still()
 
     def engaged(self) -> bool:
-        return self.opening(self._angle()) > self.threshold
+        return self.present_opening() > self.threshold
 
     def why_failed(self, engaged: bool, blocked: bool) -> Cause:
         return "collision" if blocked else "slipped"
@@ -140,31 +148,33 @@ class Gripper(EndEffector):
     def sense(self) -> tuple[float, bool]:
         # Fingers that have just lost an object are still closing, and for a moment as far apart as if they held it.
         self._wait_until_still()
-        gap = self.opening(self._angle())
+        gap = self.present_opening()
         return gap, gap > self.threshold
 
     def release(self) -> None:
         if self._arm.jumps:
             for joint in (self._driver, *self._followers):
                 self._simulation.client.resetJointState(self._arm.body, joint, 0.0)
-        self._drive(0.0)
+        self.drive(OPEN)
 
     def _wait_until_still(self) -> None:
         def still() -> bool:
             self.update_hold()
-            return self._still()
+            return self.still()
 
-        if not self._still():
+        if not self.still():
             self._arm.wait(self._close_steps, still)
 
-    def _still(self) -> bool:
-        """Whether the driver joint has not moved over the last ``STILL_STEPS`` steps."""
+    def still(self) -> bool:
+        """Whether the driver joint has not moved in the last ``STILL_STEPS`` calls of :meth:`update_hold`."""
         return len(self._recent) > STILL_STEPS and max(self._recent) - min(self._recent) < STILL
 
     def _angle(self) -> float:
         return float(self._simulation.client.getJointState(self._arm.body, self._driver)[0])
 
-    def _drive(self, target: float) -> None:
+    def drive(self, target: float) -> None:
+        """Begin to open or close: to :data:`OPEN` or :data:`CLOSED`."""
+        self._recent.clear()
         client = self._simulation.client
         client.setJointMotorControl2(
             self._arm.body, self._driver, client.POSITION_CONTROL, target, force=self._torque, maxVelocity=self._speed

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from see2act.robot.real.station import Joints, Station, matrix
+from see2act.robot.real.station import FingersSection, Joints, Station, matrix
 from see2act.robot.types import RobotError
 
 log = logging.getLogger("see2act")
@@ -117,9 +117,11 @@ class UrController:
         self.check_ready()
         self._control = self._made("rtde_control", "RTDEControlInterface", "the controller runs no program of ours")
         self._io = self._made("rtde_io", "RTDEIOInterface", "the controller hands out no outputs: end other programs")
-        self._do("setTcp", [0.0, 0.0, self._tool.tip, 0.0, 0.0, 0.0])
+        turn = self._tool.turn if isinstance(self._tool, FingersSection) else 0.0
+        tip = [0.0, 0.0, self._tool.tip, 0.0, 0.0, turn]
+        self._do("setTcp", tip)
         self._do("setPayload", self._tool.mass, list(self._tool.centre_of_mass))
-        if not np.allclose(self._call(self._control.getTCPOffset), [0.0, 0.0, self._tool.tip, 0.0, 0.0, 0.0], atol=1e-4):
+        if not np.allclose(self._call(self._control.getTCPOffset), tip, atol=1e-4):
             raise ArmError(f"the controller at {self._host} does not take the tool's tip from the station: restart it")
 
     def close(self) -> None:

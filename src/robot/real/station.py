@@ -63,7 +63,7 @@ class ToolSection(_Section):
     """What every tool has."""
 
     tip: Positive
-    """Metres from the flange to the lowest point of the open tool: the fingertips, or the cup's rim."""
+    """Metres from the flange to the lowest point of the tool: the closed fingertips, or the cup's rim."""
     mass: NotNegative
     """Kilograms, tool and cables."""
     centre_of_mass: Point = (0.0, 0.0, 0.05)
@@ -84,32 +84,39 @@ class ComputeBoxSection(ToolSection):
     """Modbus unit of the tool: 65 at the first connector."""
 
 
-class Rg2Modbus(ComputeBoxSection):
-    """OnRobot RG2 at a Compute Box."""
+class FingersSection(ToolSection):
+    """What both kinds of RG2 have.
 
-    kind: Literal["rg2_modbus"] = "rg2_modbus"
+    Its fingertips move on an arc: closed they are 40 mm lower than open (cranks of 55 mm turn from 18 to 93 degrees). That is
+    why ``tip`` is that of the closed ones. At a pick the open fingertips go to ``depth`` below the surface less those 40 mm.
+    """
+
+    turn: Finite = 0.0
+    """Radians about the flange's axis, from the flange's x axis to the line between the fingertips."""
     opening: Positive = 0.105
     """Metres between the open fingertips."""
-    force: Positive = 20.0
-    """Newtons with which it closes, 40 at most."""
     threshold: Positive = 0.01
     """Metres of opening above which an object counts as held."""
 
 
-class Rg2DigitalOutput(ToolSection):
+class Rg2Modbus(FingersSection, ComputeBoxSection):
+    """OnRobot RG2 at a Compute Box."""
+
+    kind: Literal["rg2_modbus"] = "rg2_modbus"
+    force: Positive = 20.0
+    """Newtons with which it closes, 40 at most."""
+
+
+class Rg2DigitalOutput(FingersSection):
     """An older RG2 at the tool connector: a digital output closes it, and an analog input of the tool gives the width."""
 
     kind: Literal["rg2_io"] = "rg2_io"
     output: Annotated[int, Field(ge=0, le=1)] = 0
     """Number of the tool's digital output."""
-    opening: Positive = 0.105
-    """Metres between the open fingertips."""
     volts: tuple[Finite, Finite] = (0.26, 3.0)
     """Volts of the tool's first analog input with the fingertips closed, and open. (The defaults are of OnRobot's script.)"""
     seconds: Positive = 1.0
     """Seconds until the fingers have come to rest."""
-    threshold: Positive = 0.01
-    """Metres of opening above which an object counts as held."""
 
 
 class VacuumOutput(ToolSection):

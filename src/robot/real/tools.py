@@ -14,6 +14,8 @@ POLL = 0.02
 """Seconds between two looks at something that is waited for."""
 SLACK = 0.005
 """Metres by which open fingers may miss the opening of the station, and by which closing must at least move them."""
+POINTED = 0.002
+"""Metres between fingertips up to which they count as closed."""
 WIDEST = 0.11
 """Metres between the fingers of an RG2, at most; from its data sheet."""
 RELEASE_SECONDS = 3.0
@@ -114,6 +116,25 @@ def build(section: station.Tool, signals: Signals) -> Tool:
             return Vg10(section)
 
 
+def point(section: station.Tool, signals: Signals) -> None:
+    """Close the fingers, so that the tool has one tip. They stay closed until the next attempt. Nothing happens to a cup.
+
+    Raises:
+        ToolError: They do not close, or there is something between them.
+    """
+    tool = build(section, signals)
+    if not isinstance(tool, Gripper):
+        return
+    try:
+        tool.connect()
+        if tool.reading() > POINTED:
+            tool.engage()
+        if tool.reading() > POINTED:
+            raise ToolError(f"the fingers of {tool.name} do not meet: take away what is between them")
+    finally:
+        tool.close()
+
+
 def wait_for(ready: Callable[[], bool], seconds: float, problem: str) -> None:
     """Look until something is ready.
 
@@ -134,7 +155,7 @@ class Gripper(Tool):
     if_open: str
     """What to do about fingers that are open though the reading denies it."""
 
-    def __init__(self, section: station.Rg2Modbus | station.Rg2DigitalOutput):
+    def __init__(self, section: station.FingersSection):
         if section.opening > WIDEST:
             raise ToolError(f"tool.opening is {section.opening} m, and an RG2 opens to {WIDEST} m: lower it")
         if section.threshold >= section.opening:

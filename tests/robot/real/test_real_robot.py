@@ -17,6 +17,7 @@ from benchmarks.stand_in.person import Person
 from see2act.errors import ConfigError
 from see2act.experiment.checks import check_run
 from see2act.experiment.config import composed
+from see2act.robot.oracle import oracle
 from see2act.robot.real import cell as cells
 from see2act.robot.real import station as stations
 from see2act.robot.real.operator import Operator
@@ -171,6 +172,33 @@ def test_a_dry_run_stops_above_the_pick(cell: StandInCell, folder: Path, person:
     outcome = robot.execute(best(robot))
     assert (outcome.success, outcome.cause, outcome.aborted) == (False, "dry_run", True)
     assert np.median(np.abs(robot.observe().heightmap.height - before)) < 0.002
+
+
+def test_a_gripper_picks_as_its_twin_does(
+    tmp_path_factory: pytest.TempPathFactory, make_robot: Callable[..., SimulatedRobot]
+) -> None:
+    """The oracle's grasps, at angles all around: a wrong sign or a wrong height would miss them."""
+    from tests.robot.real.conftest import WORKER
+
+    folder = tmp_path_factory.mktemp("gripper")
+    cell = StandInCell(f"127.{WORKER}.97.1", folder, ["primitive=grasp"])
+    try:
+        robot = built(folder, Person(cell), "primitive=grasp")
+        twin = make_robot("primitive=grasp", "robot.motion=full")
+        robot.reset(SCENE, "seen")
+        twin.reset(SCENE, "seen")
+        for _ in range(3):
+            truth = twin.truth().heightmap
+            logits = oracle(twin, angles=16)(truth.color, truth.height)
+            angle, row, col = (int(i) for i in np.unravel_index(np.argmax(logits), logits.shape))
+            theirs = twin.execute(twin.workspace.pick(truth, row, col, angle * np.pi / 16))
+            ours = robot.execute(robot.workspace.pick(robot.observe().heightmap, row, col, angle * np.pi / 16))
+            assert (ours.success, theirs.success) == (True, True)
+            assert ours.reading == pytest.approx(theirs.reading, abs=0.002), "metres between the fingertips"
+        assert at_home(robot)
+    finally:
+        cells.disconnect()
+        cell.close()
 
 
 def test_a_second_program_is_kept_out(robot: RealRobot, folder: Path) -> None:

@@ -142,6 +142,23 @@ def test_rg2_does_not_hold_nothing_or_what_is_too_thin(
     assert not held
 
 
+def test_fingers_are_closed_to_one_tip(serve: Callable[..., ComputeBox], fingers: stand_in.Rg2) -> None:
+    box = serve(fingers)
+    section = station.Rg2Modbus(host=box.host, port=box.port, **COMMON)
+    tools.point(section, Signals())
+    assert fingers.opening == 0
+    commands = fingers.commands
+    tools.point(section, Signals())
+    assert fingers.commands == commands, "they are closed already"
+
+
+def test_fingers_around_something_have_no_tip(serve: Callable[..., ComputeBox], fingers: stand_in.Rg2) -> None:
+    fingers.between = lambda: 0.02
+    box = serve(fingers)
+    with pytest.raises(ToolError, match="take away what is between them"):
+        tools.point(station.Rg2Modbus(host=box.host, port=box.port, **COMMON), Signals())
+
+
 def test_rg2_notices_that_an_object_was_lost(serve: Callable[..., ComputeBox], fingers: stand_in.Rg2) -> None:
     fingers.between = lambda: 0.05
     tool = _rg2(serve(fingers))

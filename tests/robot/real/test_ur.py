@@ -14,7 +14,7 @@ import pytest
 from benchmarks.stand_in.process import ControllerProcess
 from see2act.robot.real.box import Box
 from see2act.robot.real.controller import ArmError, LinkLost, ProtectiveStop
-from see2act.robot.real.station import CalibrationSection, Station, TouchSection
+from see2act.robot.real.station import CalibrationSection, Rg2Modbus, Station, TouchSection
 from see2act.robot.real.ur import UrArm
 
 Later = Callable[..., None]
@@ -56,6 +56,14 @@ def test_taught_joints_are_reached(arm: UrArm, station: Station) -> None:
 
 def test_the_tip_is_that_of_the_station(arm: UrArm, controller: ControllerProcess) -> None:
     assert controller.get("tcp")[2] == pytest.approx(0.14)
+
+
+def test_fingers_may_be_turned_about_the_flange(controller: ControllerProcess, station: Station) -> None:
+    fingers = Rg2Modbus(host="127.0.0.1", tip=0.2, mass=0.8, depth=0.05, turn=0.5)
+    arm = UrArm(station.model_copy(update={"tool": fingers}))
+    arm.connect()
+    assert controller.get("tcp") == pytest.approx([0, 0, 0.2, 0, 0, 0.5])
+    arm.close()
 
 
 def test_a_force_stops_the_descent_where_it_is(

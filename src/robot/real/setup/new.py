@@ -19,8 +19,9 @@ TOOLS: dict[str, type[Rg2Modbus | Rg2DigitalOutput | VacuumOutput | Vg10]] = {
 }
 MASS = {"rg2_modbus": 0.78, "rg2_io": 0.78, "vacuum_io": 0.3, "vg10": 1.62}
 """Kilograms: of OnRobot's tools from their data sheets, of a plain cup with its tubes our estimate."""
-DEPTH = {"rg2_modbus": 0.02, "rg2_io": 0.02, "vacuum_io": 0.004, "vg10": 0.004}
-"""Metres below the surface to which the tip goes. Fingers close around an object, and a cup's lip is pressed on it."""
+DEPTH = {"rg2_modbus": 0.05, "rg2_io": 0.05, "vacuum_io": 0.004, "vg10": 0.004}
+"""Metres below the surface to which the tip goes. A cup's lip is pressed on the surface. The open fingertips of an RG2 go 1 cm
+below it: they are 4 cm higher than the closed ones."""
 
 
 def new(path: Path, host: str, tool: str, tip: float, tool_host: str | None = None, mass: float | None = None) -> Station:
@@ -30,7 +31,7 @@ def new(path: Path, host: str, tool: str, tip: float, tool_host: str | None = No
         path: Of the file.
         host: Address of the arm's controller.
         tool: A key of :data:`TOOLS`.
-        tip: Metres from the flange to the lowest point of the open tool.
+        tip: Metres from the flange to the lowest point of the tool, its fingers closed.
         tool_host: Address of OnRobot's Compute Box, for the tools that have one.
         mass: Kilograms, tool and cables; None for a data sheet's.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from see2act.robot.real import station as stations
+from see2act.robot.real import tools
 from see2act.robot.real.cell import only_arm
 from see2act.robot.real.operator import Operator
 from see2act.robot.real.station import Point, Station
@@ -47,6 +48,7 @@ def teach(path: Path, station: Station, operator: Operator, places: Sequence[str
 
 
 def _corners(arm: UrArm, station: Station, operator: Operator) -> tuple[Point, Point, Point]:
+    tools.point(station.tool, arm)
     corners = []
     for name in CORNERS:
         with arm.led_by_hand():

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from see2act.robot.arm import HOME_ANGLE
 from see2act.robot.real import station as stations
+from see2act.robot.real import tools
 from see2act.robot.real.board import Board
 from see2act.robot.real.camera import DepthCamera
 from see2act.robot.real.cell import only_arm, only_camera
@@ -58,6 +59,7 @@ def touch(
         ways = Routes(arm, station, operator, **routes)
         ways.refuse_out_of_reach()
         ways.home()
+        tools.point(station.tool, arm)
         points = _points(camera, board, operator, projection)
         offsets = []
         ways.to_gate()
