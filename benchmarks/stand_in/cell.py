@@ -186,15 +186,18 @@ class _Cell:
         state = self.controller.state
         if not state.freedrive:
             raise ValueError("the arm does not give way to a hand: nothing has asked for that")
+        state.q = self._joints_at(place)
+        self.robot.arm.teleport(state.q)  # on a free way, which a hand finds
+
+    def _joints_at(self, place: str) -> np.ndarray:
         if place in ("home", "drop"):
-            state.q = np.array(self._home if place == "home" else DROP)
-            return
+            return np.array(self._home if place == "home" else DROP)
         corner = np.array(PLACES[place]) * [self.robot.workspace.width / 2, self.robot.workspace.length / 2, 1]
         tip = np.eye(4)
         tip[:3, :3], tip[:3, 3] = pointing_down(HOME_ANGLE + np.pi), corner
         joints = self.controller.joints_at(np.array(stations.pose(self._world @ tip)), np.array(self._home))
         assert joints is not None
-        state.q = joints
+        return joints
 
     def put_board(self, place: str) -> None:
         """The board is seen face on where it is in the tool and the arm at :data:`PLACES` ``board``."""

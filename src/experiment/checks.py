@@ -149,6 +149,8 @@ def _check_vision(cfg: DictConfig) -> None:
         raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
     if cfg.task.weights and not cfg.task.affordance and not Path(cfg.task.weights).is_file():
         kind = "weights of that network" if cfg.task.off_the_shelf else "a run's checkpoints/vision.ckpt"
+        if Path(cfg.task.weights).is_dir():
+            kind += ", or type task=affordance to start from the affordance model of the run in this folder"
         raise ConfigError(f"task.weights={cfg.task.weights} is no file: give the path of {kind}")
     floor = OmegaConf.select(cfg, "robot.bin.floor")
     if cfg.labels == "vision" and cfg.task.label and floor not in (None, "plain"):

@@ -196,8 +196,10 @@ class UrController:
         """In the middle of a motion. The dashboard, which is slow, was asked before it."""
         _refuse(self._read(remote=True))
         if not self._call(self._control.isProgramRunning):
-            time.sleep(5 * POLL)  # a protective stop ends the program too, and its news may come later
-            _refuse(self._read(remote=True))
+            deadline = time.monotonic() + STALE
+            while time.monotonic() < deadline:  # a protective stop ends the program too, and its news may come later
+                time.sleep(POLL)
+                _refuse(self._read(remote=True))
             raise ArmError("the controller's program was ended at the pendant: type the same command again")
 
     def _refuse_silence(self) -> None:

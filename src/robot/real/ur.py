@@ -17,8 +17,8 @@ from see2act.robot.real.station import Joints, Station, pose
 
 SLOW = 0.25
 """Share of the speed until a touch test was clean."""
-SPARE_TIME = 5.0
-"""Seconds that a motion may take longer than twice what its length and speed say."""
+SPARE_TIME = 10.0
+"""Seconds that a motion may take longer than twice what its length and speed say. The controller limits the force meanwhile."""
 DECELERATION = 2.0
 """m/s^2 with which a straight motion is stopped: at 0.25 m/s it ends after 16 mm."""
 JOINT_DECELERATION = 4.0
