@@ -20,8 +20,7 @@ pytestmark = pytest.mark.slow
 def test_same_seed_same_attempts_and_a_killed_run_continues(tmp_path: Path, cache: Path) -> None:
     overrides = ("logger=none", "task=normal", "seed=1", "finetune.attempts=8", "finetune.episode_attempts=2")
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    train(whole, cache, *overrides, "robot.video=true")  # which changes nothing
-    assert (whole / "video.mp4").stat().st_size > 10_000
+    train(whole, cache, *overrides)
     process = subprocess.Popen(
         command_of(killed, cache, *overrides), cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )

@@ -491,9 +491,12 @@ def test_experiments_share_the_runs_they_have_in_common(config: Callable[..., Di
 
 @pytest.mark.parametrize("experiment", sorted(path.stem for path in EXPERIMENTS.glob("*.yaml")))
 def test_experiments_reach_each_of_their_conditions_once(config: Callable[..., DictConfig], experiment: str) -> None:
-    params = OmegaConf.load(EXPERIMENTS / f"{experiment}.yaml").hydra.sweeper.params
+    file = OmegaConf.load(EXPERIMENTS / f"{experiment}.yaml")
+    params, wanted = file.hydra.sweeper.params, file.get("conditions") or ()
     met = []
     for primitive, task, transfer in itertools.product(*(params[key].split(",") for key in ("primitive", "task", "transfer"))):
+        if wanted and f"{primitive.split('_')[0]}/{task}/{transfer}" not in wanted:
+            continue  # to compose a configuration takes long
         cfg = config(f"experiment={experiment}", f"primitive={primitive}", f"task={task}", f"transfer={transfer}")
         condition = f"{cfg.primitive.name}/{task}/{transfer}"
         if condition in (cfg.conditions or [condition]) and impossible_condition(cfg) is None:
