@@ -8,32 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from see2act.errors import UserError
+from see2act.prediction.errors import ImageError
+from see2act.prediction.floor import BELOW, DEEP, FLAT, Floor, floor_pose, level_floor
 from see2act.robot.heightmap import point_cloud
 from see2act.robot.workspace import Workspace
-from see2act.seeding import generator
 
 NEAREST, FARTHEST = 0.1, 5.0
 """Metres from the camera between which a bin is believed to be."""
-SAMPLES = 500
-"""Planes that are tried for the floor; with a floor of a quarter of the image one of them fits but for one time in 2 600."""
-FLAT = 0.008
-"""Metres from the plane within which a point is of the floor: some three times a stereo sensor's noise at a metre."""
 HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 """From centres at the index to centres at the index and a half, as cameras here have them."""
-LEVEL, ASTRAY, HIGHEST = 0.004, 0.02, 0.3
-"""Metres: a bin of the histogram that the floor is found in; how far from it a pose may put the floor; and how high above the
-floor something between the bounds may reach."""
-LYING = 0.15
-"""Share of what is seen between the bounds that lies on the floor at least: a tenth to a third of a bin's is covered here."""
+HIGHEST = 0.3
+"""Metres above the floor that something between the bounds may reach."""
+MOST = 0.06
+"""Metres by which the floor may lie elsewhere than it is said to: more is no error of a calibration."""
+NOTED, TILTED = 0.01, 2.0
+"""Metres, and degrees, from which such an error is worth a warning."""
 FEWEST = 100
 """Readings without which nothing can be said of a scene."""
 LARGEST = 4e5
 """Pixels of the largest heightmap: 1.6 m by 1.6 m at 2.5 mm."""
-
-
-class ImageError(UserError, ValueError):
-    """An image, a calibration or bounds that nothing can be predicted from; the message is one line and says what to do."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +43,19 @@ class PosedImage:
     background_points: Float[np.ndarray, "h w 3"]
     """Of the empty bin; the same as ``points`` without one."""
     workspace: Workspace
-    origin: Float[np.ndarray, "3"]
-    """Of the frame, in the world, metres."""
+    middle: tuple[float, float]
+    """Of the bounds: x and y of the frame's origin in the world, metres."""
+    floor: Floor
+    """Of the world. The frame's heights are above it."""
     pose: Float[np.ndarray, "4 4"]
     """Camera to world."""
+    notes: tuple[str, ...]
+    """What is to be said of the floor, a line each."""
+
+    def world(self, point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """A point of this frame in the world, metres."""
+        x, y = point[0] + self.middle[0], point[1] + self.middle[1]
+        return np.array([x, y, point[2] + self.floor.at(x, y)])
 
 
 def look(
@@ -76,97 +78,85 @@ def look(
         pose: Camera to world, metres, z up; None finds the floor, which is the world's z = 0 then.
         bounds: Smallest x, smallest y, largest x, largest y of the inside of the bin in the world, metres; None takes the
             floor that is seen.
-        floor: The floor's z in the world, metres; None for 0 with a pose, and without one for where most lies.
+        floor: The floor's z in the world, metres; None for 0 with a pose, and without one for where it is seen. The floor that
+            is seen near it counts.
         pixel: Metres a pixel of the heightmap.
 
     Raises:
         ImageError: Sizes, units, matrices or bounds make no sense, or no floor is seen.
     """
+    if bounds is not None:
+        _check_bounds(bounds, pixel)
+    if floor is not None and not math.isfinite(floor):
+        raise ImageError(f"the floor {floor} is no number: give its z in metres")
     depth = _metres(depth, color, "depth")
     background = None if background is None else _metres(background, color, "background depth")
     _check_matrices(intrinsics, pose, color.shape)
-    _check_bounds(bounds, floor)
     centred, empty = intrinsics + HALF, depth if background is None else background
     to_world = floor_pose(empty, centred) if pose is None else np.asarray(pose, float)
     points = point_cloud(depth, centred, to_world)
     empty_points = points if background is None else point_cloud(background, centred, to_world)
-    low_x, low_y, high_x, high_y = bounds or _floor_bounds(empty_points, empty, floor or 0)
+    seen = empty_points[(empty > 0) & (_inside(empty_points, bounds) if bounds else True)]
+    plane, notes = _floor(seen, pose is not None, floor, bounds is not None)
+    low_x, low_y, high_x, high_y = bounds = bounds or _floor_bounds(empty_points, empty, plane)
     workspace = _workspace((high_x - low_x, high_y - low_y), pixel)
-    inside = (empty_points[..., 0] > low_x) & (empty_points[..., 0] < high_x) & (empty > 0)
-    inside &= (empty_points[..., 1] > low_y) & (empty_points[..., 1] < high_y)
-    floor = _floor(empty_points[inside, 2], pose is not None, floor)
-    origin = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2, floor])
-    moved = points - origin.astype(np.float32)
-    moved_empty = moved if background is None else empty_points - origin.astype(np.float32)
-    return PosedImage(color, depth, moved, background, moved_empty, workspace, origin, to_world)
+    middle = (low_x + high_x) / 2, (low_y + high_y) / 2
+    moved = _above(plane, points, middle)
+    moved_empty = moved if background is None else _above(plane, empty_points, middle)
+    _refuse_towers(moved_empty[(empty > 0) & _inside(empty_points, bounds), 2])
+    return PosedImage(color, depth, moved, background, moved_empty, workspace, middle, plane, to_world, tuple(notes))
 
 
-def _floor(heights: Float[np.ndarray, " n"], known_pose: bool, given: float | None) -> float:
-    """The floor's z, by the heights of what is seen between the bounds, and by what is said of it."""
-    if not len(heights):
-        raise ImageError("nothing of the image lies between the bounds: check depth-scale, bounds and pose")
-    counts, edges = np.histogram(heights, bins=np.arange(heights.min(), heights.max() + 2 * LEVEL, LEVEL))
-    middle = edges[counts.argmax()] + LEVEL / 2
-    lying = heights[np.abs(heights - middle) < FLAT]
-    level = float(lying.mean())
-    if given is None and len(lying) < LYING * len(heights):
-        raise ImageError(
-            "no level floor is seen between the bounds: the pose must map camera to world, with z up (if it is world to "
-            "camera, invert it); or give floor, its z"
-        )
-    floor = given if given is not None else 0.0 if known_pose else level
-    if given is None and abs(level - floor) > ASTRAY:
-        raise ImageError(
-            f"most of what is seen between the bounds lies at z = {level:.3f} m, and the floor must be at 0: give "
-            f"floor {level:.3f} if that is the floor, or check pose, depth-scale and bounds"
-        )
-    if np.mean(heights < floor - ASTRAY) > 0.5:
-        raise ImageError(
-            f"most of what is seen between the bounds lies below the floor, at z = {level:.3f} m: check floor {floor:.3f}, "
-            "pose and bounds"
-        )
-    if np.mean(heights > floor + HIGHEST) > 0.01:
+def _inside(points: Float[np.ndarray, "h w 3"], bounds: tuple[float, float, float, float]) -> np.ndarray:
+    x, y = points[..., 0], points[..., 1]
+    return np.asarray((x > bounds[0]) & (x < bounds[2]) & (y > bounds[1]) & (y < bounds[3]))
+
+
+def _above(floor: Floor, points: Float[np.ndarray, "h w 3"], middle: tuple[float, float]) -> Float[np.ndarray, "h w 3"]:
+    """The same points from the middle of the bounds, with heights above the floor for z."""
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    return np.stack([x - middle[0], y - middle[1], z - floor.at(x, y)], axis=-1).astype(np.float32)
+
+
+def _refuse_towers(heights: Float[np.ndarray, " n"]) -> None:
+    if np.mean(heights > HIGHEST) > 0.01:
         raise ImageError(
             f"what is seen between the bounds reaches more than {HIGHEST} m above the floor: check depth-scale, and give the "
             "bounds of the inside of the bin"
         )
-    return floor
 
 
-def floor_pose(depth: Float[np.ndarray, "h w"], intrinsics: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4 4"]:
-    """Camera to world, with the dominant plane of a depth image for the floor and its normal for up.
-
-    RANSAC (Fischler and Bolles 1981) with planes through three readings, then least squares through all points of the best.
-
-    Raises:
-        ImageError: All readings lie on a line, or no plane faces the camera.
-    """
-    points = point_cloud(depth, intrinsics, np.eye(4))[depth > 0].astype(float)
-    rng = generator("floor")
-    some = points[rng.choice(len(points), min(len(points), 20_000), replace=False)]
-    corners = some[rng.integers(len(some), size=(SAMPLES, 3))]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals, anchors = normals[lengths > 1e-9] / lengths[lengths > 1e-9, None], corners[lengths > 1e-9, 0]
-    supports = [np.count_nonzero(np.abs((some - a) @ n) < FLAT) for n, a in zip(normals, anchors, strict=True)]
-    if not supports:
-        raise ImageError("all readings lie on a line, which has no floor: give pose")
-    best = int(np.argmax(supports))
-    normal, anchor = normals[best], anchors[best]
-    for _ in range(3):
-        near = points[np.abs((points - anchor) @ normal) < FLAT]
-        anchor = near.mean(axis=0)
-        normal = np.linalg.svd(near - anchor, full_matrices=False)[2][2]
-    normal = normal if normal @ anchor < 0 else -normal  # towards the camera
-    if -normal[2] < 0.1:
-        raise ImageError("the dominant plane stands edge-on to the camera, so it is no floor: give pose")
-    origin = np.array([0, 0, (anchor @ normal) / normal[2]])
-    right = np.array([1.0, 0, 0]) - normal[0] * normal
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(normal, right), normal])  # rows: the world's axes in the camera's frame
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes, -axes @ origin
-    return pose
+def _floor(points: Float[np.ndarray, "n 3"], known_pose: bool, given: float | None, bounded: bool) -> tuple[Floor, list[str]]:
+    """The floor that is seen, and what is to be said of it."""
+    if not len(points):
+        raise ImageError("nothing of the image lies between the bounds: check depth-scale, bounds and pose")
+    said = given if given is not None else 0.0 if known_pose else None
+    below = BELOW if bounded else 1.0  # around a bin there may be anything
+    floor = level_floor(points, said, MOST, below)
+    middle = points[:, :2].mean(axis=0)
+    if floor is None and said is not None:
+        elsewhere = level_floor(points, None, MOST, below)
+        if elsewhere is not None:
+            z = float(elsewhere.at(*middle))
+            raise ImageError(
+                f"the floor is seen at z = {z:.3f} m, and not within {100 * MOST:g} cm of {said:g}: give floor {z:.3f} if that "
+                "is the floor, or check pose, depth-scale and bounds"
+            )
+    if floor is None and given is None:
+        raise ImageError(
+            "no level floor is seen: the pose must map camera to world, with z up (if it is world to camera, invert it); or "
+            "give floor, its z"
+        )
+    if floor is None:
+        assert given is not None
+        if np.mean(points[:, 2] < given - DEEP) > 0.5:
+            raise ImageError(f"most of what is seen lies below the floor: check floor {given:g}, pose and bounds")
+        return Floor(given), [f"warning: so little of the floor is seen that {given:g} m could not be checked"]
+    if said is None:
+        return floor, []
+    off, tilt = float(floor.at(*middle)) - said, math.degrees(floor.tilt)
+    text = f"the floor is seen {1000 * off:+.0f} mm from z = {said:g} m, tilted by {tilt:.1f} degrees; heights are from there"
+    return floor, [f"warning: {text}; check the pose" if abs(off) > NOTED or tilt > TILTED else text]
 
 
 def _metres(depth: np.ndarray, color: np.ndarray, name: str) -> Float[np.ndarray, "h w"]:
@@ -220,18 +210,17 @@ def _check_matrices(intrinsics: np.ndarray, pose: np.ndarray | None, shape: tupl
         )
 
 
-def _check_bounds(bounds: tuple[float, float, float, float] | None, floor: float | None) -> None:
-    if floor is not None and not math.isfinite(floor):
-        raise ImageError(f"the floor {floor} is no number: give its z in metres")
-    if bounds is not None and not np.isfinite(bounds).all():
+def _check_bounds(bounds: tuple[float, float, float, float], pixel: float) -> None:
+    if not np.isfinite(bounds).all():
         raise ImageError(f"the bounds {tuple(bounds)} are not all numbers: give smallest x, smallest y, largest x, largest y")
+    _workspace((bounds[2] - bounds[0], bounds[3] - bounds[1]), pixel)
 
 
-def _floor_bounds(points: np.ndarray, depth: np.ndarray, floor: float) -> tuple[float, float, float, float]:
+def _floor_bounds(points: np.ndarray, depth: np.ndarray, floor: Floor) -> tuple[float, float, float, float]:
     """Around the floor that is seen, but for its outermost hundredth to each side."""
-    lying = points[(depth > 0) & (np.abs(points[..., 2] - floor) < FLAT)]
+    lying = points[(depth > 0) & (np.abs(points[..., 2] - floor.at(points[..., 0], points[..., 1])) < FLAT)]
     if not len(lying):
-        raise ImageError(f"no floor is in view at z = {floor:g} m: check pose and depth-scale, or give the floor's z")
+        raise ImageError(f"no floor is in view at z = {floor.level:g} m: check pose and depth-scale, or give the floor's z")
     (low_x, low_y), (high_x, high_y) = np.percentile(lying[:, :2], [1, 99], axis=0)
     return float(low_x), float(low_y), float(high_x), float(high_y)
 

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from hydra.utils import instantiate
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.special import expit
 
 from see2act.experiment.model_file import TrainedModel, load
 from see2act.policy import room_between_walls
-from see2act.prediction.posed_image import ImageError, PosedImage, look
+from see2act.prediction.errors import ImageError
+from see2act.prediction.floor import Floor
+from see2act.prediction.jaws import blocked
+from see2act.prediction.posed_image import PosedImage, look
+from see2act.robot.end_effector import EndEffector
+from see2act.robot.gripper import PAD_HALF_HEIGHT, Gripper
 from see2act.robot.heightmap import fill_in, highest
 from see2act.robot.types import Heightmap
 from see2act.robot.workspace import Workspace
@@ -39,6 +46,8 @@ class ScoredPick:
     """Metres in the camera's frame: x right, y down, z forward."""
     angle: float | None
     """Radians, counter-clockwise seen from above, from the world's x: along this the jaws close. None for suction."""
+    blocked: bool = False
+    """Whether a finger would come down on something, as the heightmap shows it. Such grasps come last."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +66,12 @@ class Prediction:
     intrinsics: Float[np.ndarray, "3 3"]
     workspace: Workspace
     """The heightmap's grid."""
-    origin: Float[np.ndarray, "3"]
-    """The world's position of the grid's origin: the middle of the bounds, on the floor."""
+    middle: tuple[float, float]
+    """The world's x and y of the grid's origin: the middle of the bounds."""
+    floor: Floor
+    """Of the world; the heightmap's heights are above it."""
+    notes: tuple[str, ...]
+    """What is to be said of the floor and the picks, a line each."""
     primitive: str
     footprint: tuple[float, float]
     """Metres from a pick to the outer ends of the open tool, along the pick's angle and across."""
@@ -95,8 +108,8 @@ def predict(
         background_depth: The same view of the empty bin, in metres. What is less than 5 mm above it is not picked.
         bounds: Smallest x, smallest y, largest x and largest y of the inside of the bin, in metres of the world: picks
             without room for the whole open tool between them are left out. Without bounds, wherever floor is seen.
-        floor: The world's z of the bin's floor. Without it: 0 if there is a pose, else the level that most of what lies
-            between the bounds has.
+        floor: The world's z of the bin's floor. Without it: 0 if there is a pose. The floor is then looked for within 6 cm of
+            there, in the background if there is one, and heights are above the plane that is found; without a pose, anywhere.
         count: Picks at most.
         apart: Metres between any two of them.
 
@@ -126,7 +139,11 @@ def predict(
     if bounds:
         allowed = allowed & room_between_walls(logits.shape, (along, across), model.pixel)
     logits = np.where(allowed, logits, -np.inf)
-    picks = tuple(_pick(view, source, logits, at) for at in _best(logits, count, apart / model.pixel))
+    hit = _blocked(model, heightmap)
+    chosen = _best(np.where(hit, -np.inf, logits), count, apart / model.pixel)
+    # What fingers cannot get around comes last.
+    chosen += _best(np.where(hit, logits, -np.inf), count - len(chosen), apart / model.pixel, chosen)
+    picks = tuple(_pick(view, source, logits, hit, at) for at in chosen)
     scores = expit(logits.max(axis=0))
     return Prediction(
         picks=picks,
@@ -136,10 +153,23 @@ def predict(
         pose=view.pose,
         intrinsics=intrinsics,
         workspace=view.workspace,
-        origin=view.origin,
+        middle=view.middle,
+        floor=view.floor,
+        notes=view.notes,
         primitive=model.primitive,
         footprint=(along, across),
     )
+
+
+def _blocked(model: TrainedModel, heightmap: Heightmap) -> Bool[np.ndarray, "A H W"]:
+    """Where a finger would come down on something; nowhere for a cup."""
+    primitive = model.config.primitive
+    tool: EndEffector = instantiate(primitive.end_effector)
+    if not isinstance(tool, Gripper):
+        return np.zeros((int(primitive.angles), *heightmap.height.shape), bool)
+    fingertip = tool.depth_at(heightmap.height) - PAD_HALF_HEIGHT * tool.size
+    along, across = primitive.footprint
+    return blocked(heightmap.height, fingertip, int(primitive.angles), tool.half_opening, (along, across), model.pixel)
 
 
 def _risen(view: PosedImage, heightmap: Heightmap) -> Bool[np.ndarray, "H W"]:
@@ -153,25 +183,29 @@ def _risen(view: PosedImage, heightmap: Heightmap) -> Bool[np.ndarray, "H W"]:
     return np.asarray(heightmap.height - under.height > STATIC)
 
 
-def _pick(view: PosedImage, source: np.ndarray, logits: np.ndarray, at: tuple[int, int, int]) -> ScoredPick:
+def _pick(view: PosedImage, source: np.ndarray, logits: np.ndarray, hit: np.ndarray, at: tuple[int, int, int]) -> ScoredPick:
     angle, row, col = at
     seen = int(source[row, col])
     v, u = divmod(seen, view.depth.shape[1])
-    position = view.points.reshape(-1, 3)[seen] + view.origin
+    position = view.world(view.points.reshape(-1, 3)[seen])
     from_camera = np.linalg.inv(view.pose) @ [*position, 1]
     radians = angle * math.pi / len(logits) if len(logits) > 1 else None
     score = float(expit(logits[angle, row, col]))
-    return ScoredPick(score, row, col, u, v, _triple(position), _triple(from_camera), radians)
+    return ScoredPick(score, row, col, u, v, _triple(position), _triple(from_camera), radians, bool(hit[at]))
 
 
 def _triple(vector: np.ndarray) -> tuple[float, float, float]:
     return float(vector[0]), float(vector[1]), float(vector[2])
 
 
-def _best(logits: Float[np.ndarray, "A H W"], count: int, apart: float) -> list[tuple[int, int, int]]:
-    """Angle, row and column of the highest logits, none within ``apart`` pixels of a better one."""
+def _best(
+    logits: Float[np.ndarray, "A H W"], count: int, apart: float, taken: Sequence[tuple[int, int, int]] = ()
+) -> list[tuple[int, int, int]]:
+    """Angle, row and column of the highest logits, none within ``apart`` pixels of a better one or of those taken."""
     best = logits.max(axis=0)
     v, u = np.ogrid[: best.shape[0], : best.shape[1]]
+    for _, row, col in taken:
+        best[(v - row) ** 2 + (u - col) ** 2 < apart**2] = -np.inf
     chosen: list[tuple[int, int, int]] = []
     while len(chosen) < count and np.isfinite(best.max()):
         row, col = (int(i) for i in np.unravel_index(best.argmax(), best.shape))

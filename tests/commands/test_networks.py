@@ -28,7 +28,9 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_baseline_and_a_fixed_transfer(tmp_path: Path, cache: Path) -> None:
-    train(tmp_path / "none", cache, "logger=tensorboard", "task=none", "transfer=none", "finetune.attempts=2", "robot.video=true")
+    train(
+        tmp_path / "none", cache, "logger=tensorboard", "task=none", "transfer=none", "finetune.attempts=2", "robot.video=true"
+    )
     assert (tmp_path / "none" / "video.mp4").stat().st_size > 10_000
     assert not json.loads((tmp_path / "none" / "transfer.json").read_text())["copied"]
     assert not (tmp_path / "none" / "checkpoints" / "vision.ckpt").exists()

@@ -16,6 +16,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from safetensors.torch import load_file, save_file
+from scipy.spatial.transform import Rotation
 from torch import nn
 
 import see2act
@@ -23,8 +24,12 @@ from see2act.commands.predict import _read, main
 from see2act.experiment import model_file as model_files
 from see2act.experiment.model_file import ModelFileError, TrainedModel
 from see2act.modules.network import PixelNetwork
+from see2act.prediction.errors import ImageError
+from see2act.prediction.floor import floor_pose, level_floor
+from see2act.prediction.jaws import blocked
 from see2act.prediction.picture import _direction_in_image
-from see2act.prediction.posed_image import HALF, ImageError, _workspace, floor_pose
+from see2act.prediction.posed_image import HALF, _workspace
+from see2act.prediction.predict import _blocked
 from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.types import Observation
 from tests.modules.make import make_module
@@ -75,8 +80,9 @@ def test_with_a_pose_the_heightmap_is_the_robot_s_own(
     image: dict, highest: TrainedModel, robot: SimulatedRobot, seen: Observation
 ) -> None:
     found = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
-    np.testing.assert_allclose(found.heightmap.height, seen.heightmap.height, atol=1e-5)
-    np.testing.assert_array_equal(found.heightmap.color, seen.heightmap.color)
+    np.testing.assert_allclose(found.heightmap.height, seen.heightmap.height, atol=1e-3)  # the floor is found by itself
+    same = (found.heightmap.color == seen.heightmap.color).all(axis=-1)
+    assert same.mean() > 0.998  # of two points in one cell another one may be the highest
 
 
 def test_a_pick_says_the_same_place_in_every_frame(image: dict, highest: TrainedModel, robot: SimulatedRobot) -> None:
@@ -85,13 +91,14 @@ def test_a_pick_says_the_same_place_in_every_frame(image: dict, highest: Trained
     assert len(found.picks) == 6
     assert [pick.score for pick in found.picks] == sorted((pick.score for pick in found.picks), reverse=True)
     best = found.picks[0]
-    assert best.position[2] == pytest.approx(found.heightmap.height[found.source >= 0].max(), abs=1e-5)
+    assert best.position[2] == pytest.approx(found.heightmap.height[found.source >= 0].max(), abs=1e-3)
     for pick in found.picks:
         np.testing.assert_allclose(pose[:3, :3] @ pick.position_camera + pose[:3, 3], pick.position, atol=1e-5)
         assert image["depth"][pick.v, pick.u] == pytest.approx(pick.position_camera[2], abs=1e-6)
         x, y = found.workspace.to_world(pick.row, pick.col)
         np.testing.assert_allclose((x, y), pick.position[:2], atol=0.0013)
-        assert found.heightmap.height[pick.row, pick.col] == pytest.approx(pick.position[2], abs=1e-5)
+        above = pick.position[2] - found.floor.at(*pick.position[:2])
+        assert found.heightmap.height[pick.row, pick.col] == pytest.approx(above, abs=1e-5)
         assert pick.angle is None
     at = np.array([pick.position[:2] for pick in found.picks])
     distances = np.linalg.norm(at[:, None] - at[None], axis=2) + np.eye(6)
@@ -110,7 +117,7 @@ def test_without_a_pose_the_floor_is_found(image: dict, highest: TrainedModel, r
     middle = found @ np.linalg.inv(truth) @ [0, 0, 0, 1]  # of the bin, in the world that was found
     bounds = tuple(middle[[0, 1, 0, 1]] + BOUNDS)
     ours = see2act.predict(**image, checkpoint=highest, bounds=bounds)
-    assert ours.origin[2] == pytest.approx(0.01, abs=0.003)  # the bin's own floor
+    assert ours.floor.at(*ours.middle) == pytest.approx(0.01, abs=0.003)  # the bin's own floor
     np.testing.assert_allclose(
         ours.heightmap.height[ours.source >= 0].max(), theirs.heightmap.height[theirs.source >= 0].max(), atol=0.005
     )
@@ -121,16 +128,64 @@ def test_a_floor_that_is_not_at_zero_is_asked_for(image: dict, highest: TrainedM
     """As in the frame of a robot that stands on something."""
     raised = robot.camera.pose.copy()
     raised[2, 3] += 0.1
-    with pytest.raises(ImageError, match=r"lies at z = 0\.10\d m.*give floor 0\.10"):
+    with pytest.raises(ImageError, match=r"seen at z = 0\.10\d m.*give floor 0\.10"):
         see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS)
     ours = see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS, floor=0.1)
     theirs = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
     np.testing.assert_allclose(ours.heightmap.height, theirs.heightmap.height, atol=1e-4)
     np.testing.assert_allclose(ours.picks[0].position, np.add(theirs.picks[0].position, (0, 0, 0.1)), atol=1e-4)
-    with pytest.raises(ImageError, match=r"lies below the floor, at z = 0\.10\d m: check floor 0\.300"):
+    with pytest.raises(ImageError, match=r"seen at z = 0\.10\d m, and not within 6 cm of 0\.3"):
         see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS, floor=0.3)
     with pytest.raises(ImageError, match="the floor nan is no number"):
         see2act.predict(**image, checkpoint=highest, pose=raised, bounds=BOUNDS, floor=float("nan"))
+
+
+@pytest.mark.parametrize(("shift", "tilt"), [(0.04, 0.0), (-0.04, 0.0), (0.02, 3.0)])
+def test_a_floor_that_is_off_is_corrected_and_said(
+    image: dict, highest: TrainedModel, robot: SimulatedRobot, shift: float, tilt: float
+) -> None:
+    """A pose with an error: the heights are those of the right one, and the places are in the frame of the wrong one."""
+    wrong = robot.camera.pose.copy()
+    turn = Rotation.from_euler("x", tilt, degrees=True).as_matrix()
+    wrong[:3] = turn @ wrong[:3]
+    wrong[2, 3] += shift
+    ours = see2act.predict(**image, checkpoint=highest, pose=wrong, bounds=BOUNDS)
+    theirs = see2act.predict(**image, checkpoint=highest, pose=robot.camera.pose, bounds=BOUNDS)
+    best = theirs.picks[0]
+    np.testing.assert_allclose(ours.picks[0].position_camera, best.position_camera, atol=0.004)
+    x, y, z = ours.picks[0].position
+    assert z - ours.floor.at(x, y) == pytest.approx(best.position[2], abs=0.003)
+    assert ours.floor.at(0, 0) == pytest.approx(shift, abs=0.002)
+    assert np.degrees(ours.floor.tilt) == pytest.approx(tilt, abs=0.3)
+    (note,) = ours.notes
+    assert note.startswith(f"warning: the floor is seen {1000 * shift:+.0f} mm"[:-4])
+    assert not theirs.notes[0].startswith("warning")
+
+
+def test_the_floor_is_the_lowest_plane_and_not_the_largest() -> None:
+    """A book covers most of a bin, and lies just where the floor is said to be."""
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-0.2, 0.2, (3000, 2)), rng.normal(-0.03, 0.001, 3000)])
+    book = np.column_stack([rng.uniform(-0.1, 0.1, (7000, 2)), rng.normal(0.0, 0.001, 7000)])
+    found = level_floor(np.concatenate([floor, book]), near=0.0, within=0.06)
+    assert found is not None
+    assert found.level == pytest.approx(-0.03, abs=1e-3)
+    assert level_floor(book + [0, 0, 0.1], near=0.0, within=0.06) is None
+
+
+def test_fingers_must_find_room_beside_an_object() -> None:
+    height = np.zeros((100, 100), np.float32)
+    height[30:70, 45:55] = 0.05  # a bar, 10 wide and 40 long
+    fingertip = np.maximum(height - 0.03, 0.002)
+    hit = blocked(height, fingertip, angles=2, inner=0.0425, outer=(0.065, 0.0125), pixel=0.0025)
+    assert hit.shape == (2, 100, 100)
+    assert not hit[0, 50, 50]  # across the bar
+    assert hit[1, 50, 50]  # along it: the fingers come down on it
+    height[48:52, 70:74] = 0.04  # a neighbour where the right finger goes
+    assert blocked(height, fingertip, 2, 0.0425, (0.065, 0.0125), 0.0025)[0, 50, 50]
+    height[48:52, 70:74] = 0.0
+    height[50, 70] = 0.04  # one wrong reading is no neighbour
+    assert not blocked(height, fingertip, 2, 0.0425, (0.065, 0.0125), 0.0025)[0, 50, 50]
 
 
 def test_a_grasp_has_room_between_the_bounds(image: dict, robot: SimulatedRobot, config: Callable[..., DictConfig]) -> None:
@@ -234,6 +289,7 @@ def test_a_grasp_s_angle_is_that_of_its_best_map(model_file: Callable[[str], Pat
     model = model_files.load(model_file("grasp"))
     best = see2act.predict(**image, checkpoint=model, pose=robot.camera.pose, bounds=BOUNDS, count=1)
     logits = model.affordances(best.heightmap.color, best.heightmap.height)
+    logits[_blocked(model, best.heightmap)] = -np.inf
     pick = best.picks[0]
     assert pick.angle == pytest.approx(logits[:, pick.row, pick.col].argmax() * np.pi / 16)
 
@@ -253,12 +309,12 @@ def test_a_grasp_s_angle_is_that_of_its_best_map(model_file: Callable[[str], Pat
         ({"depth": "twice"}, "check pose, depth-scale and bounds|check depth-scale"),
         ({"depth": "six times", "pose": None, "bounds": (-0.7, -0.7, 0.7, 0.7)}, r"more than 0\.3 m.*check depth-scale"),
         ({"depth": "a row", "pose": None, "bounds": None}, "edge-on"),
-        ({"background_depth": "far"}, "most of what is seen|between the bounds"),
+        ({"background_depth": "far"}, "check pose, depth-scale and bounds|between the bounds"),
         ({"background_depth": np.zeros((9, 9))}, "background depth have different sizes"),
         ({"bounds": (np.nan, 0, 0.1, 0.1)}, "not all numbers"),
         ({"intrinsics": "transposed"}, "pinhole matrix"),
         ({"intrinsics": "skewed"}, "pinhole matrix"),
-        ({"intrinsics": "of half the size"}, "the floor must be at 0|no level floor"),
+        ({"intrinsics": "of half the size"}, "not within 6 cm of 0|no level floor"),
         ({"intrinsics": "normalised"}, "pinhole|principal point"),
         ({"intrinsics": np.full((3, 3), np.nan)}, "pinhole matrix"),
         ({"pose": "inverted"}, "invert it"),
@@ -346,7 +402,7 @@ def test_the_command_does_what_the_function_does(
         **given, checkpoint=files["--checkpoint"], pose=raised, bounds=bounds, floor=0.1, count=4, apart=0.03
     )
     assert [(pick["row"], pick["col"]) for pick in told["picks"]] == [(pick.row, pick.col) for pick in found.picks]
-    assert told["heightmap"]["floor"] == pytest.approx(0.1)
+    assert told["heightmap"]["floor"] == pytest.approx(0.1, abs=1e-4)
     np.testing.assert_allclose(told["camera_to_world"], raised)
     assert all(pick["position"][2] > 0.1 + 0.004 for pick in told["picks"])  # what was there before is not picked
 
@@ -361,12 +417,12 @@ def test_the_command_does_what_the_function_does(
         ("--primitive", "suction", "trained for primitive=grasp, not suction"),
         ("--depth", "the colour", "one channel"),
         ("--color", "the intrinsics", "cannot be read as an image"),
-        ("--intrinsics", "the colour", "is no matrix"),
-        ("--pose", "the intrinsics", "is 3 x 3, not 4 x 4"),
+        ("--intrinsics", "the colour", "cannot be read"),
+        ("--pose", "the intrinsics", "holds 9 numbers, and a pose is 16"),
         ("--checkpoint", "the colour", "cannot be read as safetensors"),
         ("--depth", "an empty file", "cannot be read"),
         ("--depth", "words", "depth must be a 16-bit PNG"),
-        ("--intrinsics", "an empty file", "is 0 x 0, not 3 x 3"),
+        ("--intrinsics", "an empty file", "cannot be read"),
         ("--apart", "0", "--apart 0 must be a number above 0"),
         ("--count", "0", "--count 0 must be a number above 0"),
         ("--out", "the colour", "cannot be written"),
@@ -396,6 +452,7 @@ def test_a_photograph_that_was_held_upside_down_is_not_turned(files: dict[str, s
     assert np.abs(cv2.imread(str(jpeg)).astype(int) - upright).mean() > 10  # so OpenCV itself obeys
     args = argparse.Namespace(**{name[2:].replace("-", "_"): Path(value) for name, value in files.items()})
     args.color, args.depth_scale, args.count, args.apart, args.pose, args.background_depth = jpeg, 1e4, 1, 0.1, None, None
+    args.intrinsics = str(args.intrinsics)
     read = cv2.cvtColor(_read(args)["color"], cv2.COLOR_RGB2BGR).astype(int)
     assert np.abs(read - upright).mean() < 3
 
