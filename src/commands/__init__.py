@@ -2,16 +2,57 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any, TextIO, cast
 
 from see2act.errors import UserError
 
 
+class Unread:
+    """Standard output that may be closed at its other end, as by ``| head``: the work goes on, and is not read.
+
+    Args:
+        stream: What it writes to until then.
+    """
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write, or drop what nobody reads."""
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._drop()
+            return len(text)
+
+    def flush(self) -> None:
+        """Flush, or drop what nobody reads."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop()
+
+    def _drop(self) -> None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())  # for the programs that this one starts, too
+        os.close(nowhere)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 @contextmanager
 def user_errors_end_the_program() -> Iterator[None]:
-    """Print the message of a :class:`UserError` on one line, without a traceback, and exit with status 1."""
+    """Print the message of a :class:`UserError` on one line, without a traceback, and exit with status 1.
+
+    From here on, standard output may be closed by its reader.
+    """
+    if not isinstance(sys.stdout, Unread):
+        sys.stdout = cast(TextIO, Unread(sys.stdout))
     try:
         yield
     except UserError as error:
