@@ -1,5 +1,5 @@
 # The one door. `make train` runs the main job, `make test` passes the tests; both install what they need.
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+PYTHON ?= $(shell command -v python3.11 || uv python find --quiet 3.11 2>/dev/null || command -v python3)
 BIN := .venv/bin
 ARGS ?=
 
@@ -8,7 +8,7 @@ ARGS ?=
 install: .venv/installed
 
 .venv/installed: pyproject.toml constraints.txt assets.txt
-	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info[:2] == (3, 11) else "see2act needs Python 3.11: make PYTHON=/path/to/python3.11")'
+	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info[:2] == (3, 11) else "see2act needs Python 3.11. Get it by `uv python install 3.11` (make finds that one), `conda create -n py311 python=3.11` or your system, and type make PYTHON=/path/to/python3.11")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	$(BIN)/pip install --quiet --no-deps --requirement assets.txt

@@ -23,6 +23,30 @@ def test_every_package_is_listed() -> None:
     assert listed == names | {"see2act.conf", "see2act.models"}
 
 
+def test_make_says_how_to_get_another_python(tmp_path: Path) -> None:
+    """`make` looks for python3.11, then for uv's, and then says how to get one. No work begins."""
+    for name in ("Makefile", "pyproject.toml", "constraints.txt", "assets.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    programs = {
+        "python3": f"exec {sys.executable} -c 'import sys; sys.version_info = (3, 13); exec(sys.argv[1])' \"$2\"",
+        "uv": "exit 1",
+    }
+    for name in ("make", "sh"):
+        (tmp_path / "bin").mkdir(exist_ok=True)
+        (tmp_path / "bin" / name).symlink_to(shutil.which(name) or "")
+    for name, line in programs.items():
+        (tmp_path / "bin" / name).write_text(f"#!/bin/sh\n{line}\n")
+        (tmp_path / "bin" / name).chmod(0o755)
+    install = {"args": ["make", "install"], "cwd": tmp_path, "env": {"PATH": str(tmp_path / "bin")}}
+    done = subprocess.run(**install, capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "uv python install 3.11" in done.stderr
+    assert not (tmp_path / ".venv").exists()
+    (tmp_path / "bin" / "uv").write_text(f"#!/bin/sh\necho {tmp_path}/found\n")
+    done = subprocess.run(**install, capture_output=True, text=True)
+    assert f"{tmp_path}/found" in done.stderr  # which make has tried
+
+
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment with the wheel in it. Its dependencies are those of this one."""
