@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from see2act.errors import DamagedFile
 
@@ -22,12 +24,22 @@ def writable(folder: Path) -> bool:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends without an error."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """A temporary path beside ``path`` that takes its place when the block ends without an error.
+
+    Raises:
+        OSError: It cannot be written. The error names ``path``.
+    """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield partial
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())  # or a machine that loses its power may keep the name and lose what is in the file
         os.replace(partial, path)
+    except OSError as error:
+        if error.errno is not None and error.filename is None:  # a full disk is found by a write, which knows no name
+            error.filename = str(path)
+        raise
     finally:
         partial.unlink(missing_ok=True)
 
@@ -51,9 +63,35 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text())
     except ValueError as error:
-        raise DamagedFile(
-            f"{path} is damaged ({' '.join(str(error).split())}): delete it and type the same command again"
-        ) from None
+        raise damaged(path, error) from None
+
+
+def read_arrays(path: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
+    """Arrays that :func:`write_arrays` wrote. Nothing in the file is executed.
+
+    Raises:
+        DamagedFile: It is no such file, or lacks one of ``names``.
+        FileNotFoundError: It is not there.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in names}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy each have their own
+        raise damaged(path, error) from None
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays, compressed, atomically."""
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def damaged(path: Path, error: Exception) -> DamagedFile:
+    """The error of a file that is not what this project wrote."""
+    reason = " ".join(str(error).split())[:160] or type(error).__name__
+    return DamagedFile(f"{path} is damaged ({reason}): delete it and type the same command again")
 
 
 def write_json(path: Path, data: object) -> None:

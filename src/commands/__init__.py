@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO, cast
 
-from see2act.errors import UserError
+from see2act.errors import UserError, storage_errors
 
 
 class Unread:
@@ -49,11 +49,14 @@ class Unread:
 def user_errors_end_the_program() -> Iterator[None]:
     """Print the message of a :class:`UserError` on one line, without a traceback, and exit with status 1.
 
+    A disk that is full, or a folder that may not be written, counts as one.
+
     From here on, standard output may be closed by its reader.
     """
     if not isinstance(sys.stdout, Unread):
         sys.stdout = cast(TextIO, Unread(sys.stdout))
     try:
-        yield
+        with storage_errors():
+            yield
     except UserError as error:
         sys.exit(f"see2act: {error}")

@@ -18,6 +18,7 @@ from omegaconf import OmegaConf
 
 from see2act.commands import user_errors_end_the_program
 from see2act.errors import ConfigError, TransferError
+from see2act.experiment.checkpoints import load_checkpoint
 from see2act.experiment.checks import check_parts, validate
 from see2act.experiment.config import composed
 from see2act.files import writable
@@ -80,7 +81,7 @@ def draw(overrides: Sequence[str], tasks: Sequence[str], run: Path | None, scene
         if last:
             tuned = copy.deepcopy(next(iter(models.values())))
             try:
-                tuned.load_state_dict(torch.load(last, map_location="cpu", weights_only=True)["state_dict"])
+                tuned.load_state_dict(load_checkpoint(last, ("state_dict",))["state_dict"])
             except RuntimeError as error:
                 reason = " ".join(str(error).split())[:200]
                 raise ConfigError(

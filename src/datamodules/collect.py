@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing import current_process
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from see2act.datamodules.labels import View
-from see2act.files import replacing
+from see2act.datamodules.workers import end_with_parent
+from see2act.files import read_arrays, write_arrays
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap
 from see2act.seeding import generator, seed_for
@@ -20,6 +22,7 @@ RobotFactory = Callable[[], Robot]
 SCENES_IN_A_ROW = 3
 """Scenes that a worker process collects in a row with one robot."""
 ARRAYS = ("color", "height", "valid", "clean_color", "clean_height", "clean_valid", "body")
+BACKGROUND = ("background_color", "background_height", "background_valid")
 
 
 @dataclass(frozen=True)
@@ -48,17 +51,18 @@ class Collection:
 
     def save(self, path: Path) -> None:
         """Write atomically."""
-        empty = {f"background_{k}": getattr(self.background, k) for k in ("color", "height", "valid")}
-        with replacing(path) as partial, partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **self.arrays, **empty)
+        empty = (self.background.color, self.background.height, self.background.valid)
+        write_arrays(path, self.arrays | dict(zip(BACKGROUND, empty, strict=True)))
 
     @classmethod
     def load(cls, path: Path) -> Collection:
-        """Read what :meth:`save` wrote."""
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in ARRAYS}
-            background = Heightmap(file["background_color"], file["background_height"], file["background_valid"])
-        return cls(arrays, background)
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            DamagedFile: It is no such file.
+        """
+        content = read_arrays(path, (*ARRAYS, *BACKGROUND))
+        return cls({name: content[name] for name in ARRAYS}, Heightmap(*(content[name] for name in BACKGROUND)))
 
 
 def collect(
@@ -93,6 +97,8 @@ def collect(
 
 
 def _scenes(make_robot: RobotFactory, seed: int, scenes: list[tuple[int, int]], most_objects: int) -> list[Collection]:
+    if current_process().name != "MainProcess":
+        end_with_parent()
     robot = make_robot()
     try:
         return [_scene(robot, seed, scene, interactions, most_objects) for scene, interactions in scenes]

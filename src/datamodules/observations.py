@@ -14,7 +14,7 @@ from see2act.attempt import attempt
 from see2act.datamodules.collect import Collection
 from see2act.datamodules.records import MAPS, Records, collecting
 from see2act.errors import ConfigError
-from see2act.files import read_json, replacing, write_json
+from see2act.files import read_arrays, read_json, write_arrays, write_json
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap
@@ -69,8 +69,8 @@ class Observations:
         sensed = {key: np.stack([getattr(heightmap, key) for heightmap in maps]) for key in MAPS}
         clean = {f"clean_{key}": values for key, values in sensed.items()}
         body = np.full(sensed["height"].shape, -1, np.int32)
-        with np.load(self._background) as background:
-            return Collection({**sensed, **clean, "body": body}, Heightmap(*(background[key] for key in MAPS)))
+        background = read_arrays(self._background, MAPS)
+        return Collection({**sensed, **clean, "body": body}, Heightmap(*(background[key] for key in MAPS)))
 
     def digest(self, count: int) -> str:
         """Hexadecimal digits that depend on nothing but what :meth:`first` reads."""
@@ -96,8 +96,7 @@ class Observations:
         """
         if not self._background.exists():
             empty = robot.background()
-            with replacing(self._background) as partial, partial.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **{key: getattr(empty, key) for key in MAPS})
+            write_arrays(self._background, {key: getattr(empty, key) for key in MAPS})
         if not self._grid.exists():
             write_json(self._grid, {side: getattr(robot.workspace, side) for side in SIDES} | {"primitive": robot.primitive})
         equal = np.zeros((angles, *robot.workspace.shape), np.float32)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from see2act.attempt import Attempt
-from see2act.files import replacing
+from see2act.files import read_arrays, write_arrays
 from see2act.policy import Choice
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick
 
@@ -43,8 +43,7 @@ class Records:
             "outcome": asdict(attempt.outcome),
         }
         facts["seconds"] = [attempt.t_observe, attempt.t_decide, attempt.t_act]
-        with replacing(self._path(name)) as partial, partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, facts=np.array(json.dumps(facts)), **arrays)
+        write_arrays(self._path(name), {"facts": np.array(json.dumps(facts)), **arrays})
 
     def save_aborted(self, step: int, attempt: Attempt) -> None:
         """Write an attempt that was not carried through, in place of the training attempt of a number."""
@@ -59,12 +58,14 @@ class Records:
         """The same.
 
         Raises:
+            DamagedFile: It is no record.
             FileNotFoundError: There is none.
         """
-        with np.load(self._path(name)) as arrays:
-            facts = json.loads(str(arrays["facts"]))
-            heightmap = Heightmap(*(arrays[f"map_{key}"] for key in MAPS))
-            observation = Observation(heightmap, *(arrays[f"image_{key}"] for key in IMAGES))
+        maps, images = [f"map_{key}" for key in MAPS], [f"image_{key}" for key in IMAGES]
+        arrays = read_arrays(self._path(name), ("facts", *maps, *images))
+        facts = json.loads(str(arrays["facts"]))
+        heightmap = Heightmap(*(arrays[key] for key in maps))
+        observation = Observation(heightmap, *(arrays[key] for key in images))
         return Attempt(
             observation, Choice(**facts["choice"]), Pick(**facts["pick"]), Outcome(**facts["outcome"]), *facts["seconds"]
         )

@@ -12,7 +12,7 @@ from time import process_time
 from typing import Any
 
 from see2act.experiment.cache import once
-from see2act.files import read_json, write_json
+from see2act.files import damaged, read_json, write_json
 
 log = logging.getLogger("see2act")
 GAIN = 1.1
@@ -35,15 +35,24 @@ def fastest_precision(folder: str, accelerator: str = "cpu") -> str:
     if not computes_bf16():
         return "fp32"
     path = Path(folder).absolute() / "precision" / f"{_words(processor())}-torch-{version('torch')}.json"
-    if once(path, lambda: write_json(path, compared(_attempt_s_work))):
-        kept = read_json(path)
+    kept, made = once(path, lambda: write_json(path, compared(_attempt_s_work)), _read)
+    if made:
         log.info(
             "precision=auto: the network's work of an attempt takes %.2f s in fp32 and %.2f s in bf16 on this processor, so "
             "%s; kept in %s",
             *(kept["fp32"], kept["bf16"], kept["fastest"], path),
         )
-    fastest: str = read_json(path)["fastest"]
-    return fastest
+    return str(kept["fastest"])
+
+
+def _read(path: Path) -> dict[str, Any]:
+    kept: dict[str, Any] = read_json(path)
+    try:
+        if kept["fastest"] not in ("bf16", "fp32"):
+            raise ValueError(f"fastest is {kept['fastest']}")
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged(path, error) from None
+    return kept
 
 
 def compared(work: Callable[[str], Callable[[], object]]) -> dict[str, Any]:

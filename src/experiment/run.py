@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
-import torch
 from omegaconf import DictConfig
 
 from see2act.attempt import Attempt
@@ -19,6 +18,7 @@ from see2act.datamodules.records import testing
 from see2act.errors import TransferError
 from see2act.experiment import attempts, build, charts, figures, model_file
 from see2act.experiment.attended import attended
+from see2act.experiment.checkpoints import save_checkpoint
 from see2act.experiment.context import RunContext
 from see2act.experiment.dashboard import Dashboard
 from see2act.experiment.folder import earlier_versions
@@ -30,7 +30,7 @@ from see2act.experiment.stages.evaluate import evaluate_argmax
 from see2act.experiment.stages.finetune import finetune
 from see2act.experiment.stages.pretrain import QUALITY, VisionCheckpoint, vision_model
 from see2act.experiment.stages.transfer import affordance_model
-from see2act.files import replacing, write_json
+from see2act.files import write_json
 from see2act.modules.affordance import AffordanceModule
 from see2act.modules.transfer import copy_parts
 from see2act.robot.types import Split
@@ -104,8 +104,7 @@ def _keep_vision_model(context: RunContext, vision: VisionCheckpoint | None) -> 
     if set(QUALITY) <= set(vision):
         context.progress.vision = VisionQuality(**{key: vision[key] for key in QUALITY})
         context.progress.save()
-    with replacing(context.checkpoints / "vision.ckpt") as partial:
-        torch.save(vision, partial)
+    save_checkpoint(context.checkpoints / "vision.ckpt", vision)
 
 
 def _draw_seeing(context: RunContext, collection: Collection | None, vision: VisionCheckpoint | None) -> None:

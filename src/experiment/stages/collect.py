@@ -79,9 +79,9 @@ def _collection(cfg: DictConfig, interactions: int, per_scene: int, seed: int) -
         most_objects = cfg.objects.kinds * cfg.objects.copies
         collect(make_robot, interactions, per_scene, most_objects, seed, cfg.collect.workers).save(path)
 
-    made = once(path, make)
+    collection, made = once(path, make, Collection.load)
     log.info("collect: %d observations %s %s", interactions, "written to" if made else "from", path)
-    return Collection.load(path)
+    return collection
 
 
 def _key(cfg: DictConfig, interactions: int, per_scene: int, seed: int) -> str:

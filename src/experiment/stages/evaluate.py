@@ -18,7 +18,7 @@ from see2act.experiment.context import RunContext
 from see2act.experiment.evaluation import EvaluationProtocol, EvaluationRun, Judged, evaluate
 from see2act.experiment.identity import deciding_robot, hash_of, plain, versions
 from see2act.experiment.results import SPLITS, Evaluation
-from see2act.files import read_json, write_json
+from see2act.files import damaged, read_json, write_json
 from see2act.modules.affordance import AffordanceModule
 from see2act.policy import Policy
 from see2act.robot.robot import Robot
@@ -142,12 +142,11 @@ class _Evaluation:
             result = self._measure(robot)
             write_json(path, {"result": result.model_dump(mode="json"), "rows": [row.texts() for row in self._rows]})
 
-        made = once(path, make)
+        (result, rows), made = once(path, make, _kept_evaluation)
         log.info("evaluate: before any attempt, %s %s", "kept at" if made else "from", path)
-        kept = read_json(path)
         if not made:
-            self._context.log.append(*(AttemptRow.parse(texts) for texts in kept["rows"]))
-        return Evaluation.model_validate(kept["result"])
+            self._context.log.append(*rows)
+        return result
 
     def _key(self) -> str:
         """Hash of everything that an evaluation depends on, the network's parameters among it."""
@@ -189,3 +188,11 @@ class _Evaluation:
             title = f"{context.title}: failed attempts of the last evaluation"
             figures.failures(failed, self._module.affordances, robot, title, context.figures / "failures.png")
         return result
+
+
+def _kept_evaluation(path: Path) -> tuple[Evaluation, list[AttemptRow]]:
+    kept = read_json(path)
+    try:
+        return Evaluation.model_validate(kept["result"]), [AttemptRow.parse(texts) for texts in kept["rows"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged(path, error) from None

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import lightning as L
-import torch
 from hydra.utils import instantiate
 
 from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt
@@ -18,6 +17,7 @@ from see2act.errors import ConfigError
 from see2act.experiment import build
 from see2act.experiment.attempts import AttemptRow, Place
 from see2act.experiment.attended import attended
+from see2act.experiment.checkpoints import load_checkpoint, save_checkpoint
 from see2act.experiment.context import RunContext
 from see2act.experiment.stages.evaluate import evaluate_at
 from see2act.files import replacing
@@ -41,11 +41,9 @@ def finetune(context: RunContext, module: AffordanceModule, make_trainer: Callab
     if 0 in steps:
         evaluate_at(context, module, 0)
     if not context.attempts:
-        with replacing(kept) as partial:
-            torch.save({"state_dict": module.state_dict()}, partial)
+        save_checkpoint(kept, {"state_dict": module.state_dict()})
     elif progress.finetuned:
-        state = torch.load(kept, map_location=module.network.device, weights_only=True)
-        module.load_state_dict(state["state_dict"])
+        module.load_state_dict(load_checkpoint(kept, ("state_dict",), module.network.device)["state_dict"])
     else:
         learn(context, module, make_trainer, last if last.exists() else None, steps)
 
@@ -54,8 +52,8 @@ def _attempts_in(checkpoint: Path) -> int:
     """Attempts after which a checkpoint was written; 0 without one."""
     if not checkpoint.exists():
         return 0
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    return int(state[InteractiveDataModule.__name__]["attempts"])
+    replayed = InteractiveDataModule.__name__
+    return int(load_checkpoint(checkpoint, (replayed, "state_dict"))[replayed]["attempts"])
 
 
 def _counts(context: RunContext, row: AttemptRow, done: int) -> bool:

@@ -21,9 +21,9 @@ from see2act.errors import ConfigError, TransferError
 from see2act.experiment import build, model_file
 from see2act.experiment.attended import attended
 from see2act.experiment.cache import once
+from see2act.experiment.checkpoints import load_checkpoint, save_checkpoint
 from see2act.experiment.identity import code_hash, deciding_trainer, hash_of, plain, weights_file
 from see2act.experiment.stages.collect import collection_key, held_out
-from see2act.files import replacing
 from see2act.modules import weights
 from see2act.modules.average_precision import average_precision
 from see2act.modules.vision import VisionModule
@@ -53,9 +53,12 @@ def vision_model(
         return None
     assert collection is not None
     path = vision_path(cfg)
-    made = once(path, lambda: _train(cfg, collection, make_trainer, path))
+    checkpoint, made = once(
+        path,
+        lambda: _train(cfg, collection, make_trainer, path),
+        lambda path: load_checkpoint(path, ("task", "network", *QUALITY)),
+    )
     log.info("pretrain: %s %s %s", cfg.task.name, "trained, kept at" if made else "from", path)
-    checkpoint: VisionCheckpoint = torch.load(path, map_location="cpu", weights_only=True)
     log.info("pretrain: average precision %.2f on held-out scenes", checkpoint["average_precision"])
     return checkpoint
 
@@ -139,8 +142,7 @@ def _train(cfg: DictConfig, collection: Collection, make_trainer: Callable[..., 
         "val_loss": val_loss,
         "average_precision": average_precision(scores, labels, task.tolerance),
     }
-    with replacing(path) as partial:
-        torch.save(checkpoint, partial)
+    save_checkpoint(path, checkpoint)
 
 
 def held_out_labels(cfg: DictConfig, scenes: Collection) -> np.ndarray:

@@ -6,8 +6,7 @@ import time
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
+from see2act.files import read_arrays
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.objects import ObjectSet
 from see2act.robot.real import station as stations
@@ -106,8 +105,8 @@ class RealRobot(Robot):
     def background(self) -> Heightmap:
         """Heightmap of the empty bin, as `real.py background` saw it."""
         assert self.station.background is not None, "the constructor refuses a station without one"
-        with np.load(self._path.parent / self.station.background) as images:
-            return self._projection.heightmap(images["color"], images["depth"], images["intrinsics"], self.workspace)
+        images = read_arrays(self._path.parent / self.station.background, ("color", "depth", "intrinsics"))
+        return self._projection.heightmap(images["color"], images["depth"], images["intrinsics"], self.workspace)
 
     def observe(self) -> Observation:
         if self._seen is None:

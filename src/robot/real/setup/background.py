@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from see2act.files import replacing
+from see2act.files import write_arrays
 from see2act.robot import heightmap as hm
 from see2act.robot.real import station as stations
 from see2act.robot.real.camera import DepthCamera
@@ -84,8 +84,7 @@ def background(
     if floor.seen < SEEN or abs(floor.height) > TOO_FAR:
         raise RobotError(str(floor.objection()))
     name = f"background-{today()}.npz"
-    with replacing(path.parent / name) as partial, partial.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, color=color, depth=depth, intrinsics=intrinsics)
+    write_arrays(path.parent / name, {"color": color, "depth": depth, "intrinsics": intrinsics})
     station = station.model_copy(update={"background": name})
     stations.save(station, path)
     return station, floor
