@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing import current_process
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +88,7 @@ def collect(
     ]
     parts: list[Collection] = []
     with tqdm(total=interactions, desc="collect", disable=None) as bar:
-        for done in Parallel(workers, backend="loky", return_as="generator")(tasks):
+        for done in Parallel(workers, backend="loky", return_as="generator", initializer=end_with_parent)(tasks):
             parts += done
             bar.update(sum(len(part) for part in done))
     arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in ARRAYS}
@@ -97,8 +96,6 @@ def collect(
 
 
 def _scenes(make_robot: RobotFactory, seed: int, scenes: list[tuple[int, int]], most_objects: int) -> list[Collection]:
-    if current_process().name != "MainProcess":
-        end_with_parent()
     robot = make_robot()
     try:
         return [_scene(robot, seed, scene, interactions, most_objects) for scene, interactions in scenes]

@@ -6,14 +6,12 @@ import logging
 import os
 import shutil
 import time
-from multiprocessing import current_process
 from pathlib import Path
 from typing import Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from see2act.datamodules.workers import end_with_parent
 from see2act.errors import DamagedFile, MissingWeights, UserError, storage_errors
 from see2act.experiment.checks import impossible_condition
 from see2act.experiment.folder import half_of_another_version, of_this_version
@@ -79,8 +77,6 @@ def run_job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
     Returns:
         The final success rate on unseen objects; None if it did not run.
     """
-    if current_process().name != "MainProcess":  # a worker of the launcher
-        end_with_parent()
     _clear_notes(folder)
     condition = f"{cfg.primitive.name}/{cfg.task.name}/{cfg.transfer.name}"
     if reason := impossible_condition(cfg):

@@ -456,7 +456,7 @@ def test_values_out_of_their_range_are_refused(config: Callable) -> None:
         config("precision=fp16")
 
 
-@pytest.mark.parametrize(("launcher", "jobs"), [("joblib", -1), ("basic", None)])
+@pytest.mark.parametrize(("launcher", "jobs"), [("workers", -1), ("joblib", -1), ("basic", None)])
 def test_hydra_s_launchers_compose(launcher: str, jobs: int | None) -> None:
     with initialize_config_module("see2act.conf", version_base="1.3"):
         default = compose("train", return_hydra_config=True)
