@@ -44,6 +44,12 @@ class Campaign:
     trials: int = 0
     wrong: list[str] = field(default_factory=list)
 
+    def fault(self, *faults: str) -> None:
+        """Something that must not be."""
+        self.wrong += faults
+        for line in faults:
+            print(f"  {line}", flush=True)
+
     def start(self, arguments: Sequence[str], cwd: Path) -> Command:
         """Type a command."""
         return Command(arguments, cwd, cwd / "printed.txt")
@@ -54,21 +60,21 @@ class Campaign:
         status = command.wait()
         self.kills[where] += 1
         if status == 0:
-            self.wrong.append(f"{where}: killed, and the exit status is 0")
+            self.fault(f"{where}: killed, and the exit status is 0")
         if left := command.orphans():
-            self.wrong.append(f"{where}: {len(left)} processes are left")
+            self.fault(f"{where}: {len(left)} processes are left")
             for pid in left:
                 os.kill(pid, signal.SIGKILL)
         if self.signal != signal.SIGKILL and "Traceback" in command.printed:
-            self.wrong.append(f"{where}: a traceback was printed")
+            self.fault(f"{where}: a traceback was printed")
 
     def finish(self, arguments: Sequence[str], cwd: Path, what: str) -> Command:
         """Type the same command again and let it end."""
         command = self.start(arguments, cwd)
         if status := command.wait():
-            self.wrong.append(f"{what}: typed again, it ends with status {status}: {command.printed[-300:]}")
+            self.fault(f"{what}: typed again, it ends with status {status}: {command.printed[-300:]}")
         if left := command.orphans():
-            self.wrong.append(f"{what}: {len(left)} processes are left")
+            self.fault(f"{what}: {len(left)} processes are left")
         self.trials += 1
         return command
 
@@ -91,8 +97,6 @@ def main() -> None:
         rows = [{"killed in": where, "times": times} for where, times in sorted(campaign.kills.items())]
         finish(f"SIG{args.signal}", rows, args.json)
     print(f"{campaign.kills.total()} kills, {campaign.trials} commands typed again to their end, {len(campaign.wrong)} faults")
-    for line in campaign.wrong:
-        print(f"  {line}")
     sys.exit(1 if campaign.wrong else 0)
 
 
@@ -105,7 +109,7 @@ def _all(campaign: Campaign, kills: int) -> None:
     if campaign.wrong:
         return
     print(f"undisturbed: {time.strftime('%H:%M:%S')}", flush=True)
-    parts: tuple[Callable[[Campaign, Path, int], None], ...] = (_run, _run, _sweep, _run, _reports)
+    parts: tuple[Callable[[Campaign, Path, int], None], ...] = (_sweep, _run, _run, _reports, _run)
     trial = 0
     while campaign.kills.total() < kills:
         parts[trial % len(parts)](campaign, whole, trial)
@@ -166,12 +170,14 @@ def _reports(campaign: Campaign, whole: Path, trial: int) -> None:
         if command.process.poll() is None:
             campaign.kill(command, "a report")
     campaign.finish(_report(folder), folder, f"report {trial}")
-    campaign.wrong += [
-        f"report {trial}: {name} differs"
-        for name in REPORTED
-        if (folder / "sweep" / name).read_bytes() != (whole / "sweep" / name).read_bytes()
-    ]
-    campaign.wrong += [f"report {trial}: {path.name} is left" for path in folder.rglob(".*.partial")]
+    campaign.fault(
+        *[
+            f"report {trial}: {name} differs"
+            for name in REPORTED
+            if (folder / "sweep" / name).read_bytes() != (whole / "sweep" / name).read_bytes()
+        ]
+    )
+    campaign.fault(*[f"report {trial}: {path.name} is left" for path in folder.rglob(".*.partial")])
     shutil.rmtree(folder)
 
 
@@ -181,12 +187,12 @@ def _report(folder: Path) -> list[str]:
 
 def _compare(campaign: Campaign, what: str, runs: dict[Path, Path], cache: Path, whole_cache: Path) -> None:
     for run, whole in runs.items():
-        campaign.wrong += [f"{what}: {run.parent.name}: {name}" for name in differences(run, outcome(whole))]
-        campaign.wrong += [f"{what}: {path.name} is left" for path in run.rglob(".*.partial")]
-    campaign.wrong += [f"{what}: cache: {fault}" for fault in damaged_files(cache)]
+        campaign.fault(*[f"{what}: {run.parent.name}: {name}" for name in differences(run, outcome(whole))])
+        campaign.fault(*[f"{what}: {path.name} is left" for path in run.rglob(".*.partial")])
+    campaign.fault(*[f"{what}: cache: {fault}" for fault in damaged_files(cache)])
     undisturbed = content(whole_cache)
     changed = [name for name, digest in content(cache).items() if undisturbed[name] != digest]
-    campaign.wrong += [f"{what}: cache: {name} differs" for name in changed]
+    campaign.fault(*[f"{what}: cache: {name} differs" for name in changed])
 
 
 def _reaches(command: Command, words: str) -> bool:
