@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-import time
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,8 @@ SUMMARY = {
     ),
     FAILED: "jobs FAILED, and run again when the same sweep is started again",
 }
+COMPOSED = ".hydra/config.yaml"
+"""Hydra writes one for each job."""
 OF_CONDITIONS, NOT_RUN = (SKIPPED, LEFT_OUT), (MISSING, OTHER, FAILED)
 """Notes that say the same of all seeds, and notes of one run."""
 
@@ -46,13 +47,15 @@ class Summary(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Hydra calls this before the first job."""
-        self._start = time.time()
+        self._earlier = _written(Path(config.hydra.sweep.dir))
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         """Hydra calls this after the last job. Jobs run in processes of their own, so they leave notes."""
         folder = Path(config.hydra.sweep.dir)
+        # By the clock alone it cannot be told what is new: it may jump, and that of a shared disk may be another one.
+        new = sorted(path for path, when in _written(folder).items() if self._earlier.get(path) != when)
         for name, words in SUMMARY.items():
-            notes = [note for note in sorted(folder.rglob(name)) if note.stat().st_mtime >= self._start]
+            notes = [path for path in new if path.name == name]
             lines = [f"{note.parent.relative_to(folder)}: {note.read_text()}" for note in notes]
             if name in OF_CONDITIONS:
                 lines = sorted({note.read_text() for note in notes})
@@ -60,10 +63,15 @@ class Summary(Callback):
                 log.info("%d %s:\n  %s", len(lines), words, "\n  ".join(lines))
             if name == FAILED:
                 Summary.failures = len(lines)
-        jobs = [path.parent.parent for path in folder.rglob(".hydra/config.yaml") if path.stat().st_mtime >= self._start]
+        jobs = [path.parent.parent for path in new if path.match(COMPOSED)]
         if jobs and not any((job / name).exists() for job in jobs for name in ("run.json", "result.json", *NOT_RUN)):
             log.error("not one job ran: none of these combinations is possible and a condition of the experiment")
             Summary.failures += 1
+
+
+def _written(folder: Path) -> dict[Path, int]:
+    """Notes and configurations of jobs, and when each was written."""
+    return {path: path.stat().st_mtime_ns for name in (*SUMMARY, COMPOSED) for path in folder.rglob(name)}
 
 
 def run_job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:

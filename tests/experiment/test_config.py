@@ -20,12 +20,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from see2act.errors import ConfigError, DamagedFile
 from see2act.experiment.checks import check_run, impossible_condition, validate
-from see2act.experiment.config import composed
+from see2act.experiment.config import composed, register
 from see2act.experiment.folder import alone_in, claim, refuse_foreign, set_aside
 from see2act.experiment.identity import config_hash, versions
 from see2act.experiment.preflight import check_command, check_sweep
 from see2act.experiment.single import run_checked
-from see2act.experiment.sweep import FAILED, OTHER, Summary, finished_elsewhere, link, run_job
+from see2act.experiment.sweep import FAILED, LEFT_OUT, OTHER, Summary, finished_elsewhere, link, run_job
 from tests.factory import finished_run
 
 TRAIN = Path(__file__).parents[2] / "train.py"
@@ -160,7 +160,7 @@ def test_keys_that_came_later_leave_the_hash_of_earlier_runs(config: Callable) -
         ("+collect.primitive.lrr=3", ["collect.primitive.lrr", "end_effector"]),
         ("+model.widht=64", ["model.widht is read by nothing", "model=fcn7 has name, width"]),
         ("primitive.end_effector.cup_radius=-1", ["primitive.end_effector.cup_radius=-1", "at least 0"]),
-        ("camera.noise.sigma=nan", ["camera.noise.sigma=nan", "at least 0"]),
+        ("camera.noise.sigma=nan", ["camera.noise.sigma=nan", "a finite number"]),
         ("robot.bin.wall_height=-0.1", ["robot.bin.wall_height=-0.1", "at least 0"]),
         ("+trainer.gradient_clip=1", ["trainer has no parameter 'gradient_clip'", "gradient_clip_val"]),
         ("+trainer.max_epochs=50", ["trainer.max_epochs has no place here", "pretrain.epochs"]),
@@ -339,16 +339,18 @@ def test_a_sweep_of_which_no_job_ran_says_so(
     config: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Summary, "failures", 0)
-    summary = Summary()
-    summary.on_multirun_start(config())
+    summary, sweep = Summary(), OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}})
+    summary.on_multirun_start(sweep)
     for seed in (0, 1):
         folder = tmp_path / f"seed{seed}"
         (folder / ".hydra").mkdir(parents=True)
         (folder / ".hydra" / "config.yaml").touch()
         cfg = config("task=edge", f"seed={seed}", "conditions=[suction/normal/full]")
         assert run_job(cfg, folder, tmp_path) is None
+        for path in (folder / ".hydra" / "config.yaml", folder / LEFT_OUT):
+            os.utime(path, (1e9, 1e9))  # the clock was set back meanwhile
     with caplog.at_level("INFO"):
-        summary.on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
+        summary.on_multirun_end(sweep)
     assert "1 conditions were left out, since the experiment does not name them: conditions=[]" in caplog.text
     assert "suction/edge/full" in caplog.text
     assert "not one job ran" in caplog.text
@@ -458,6 +460,7 @@ def test_values_out_of_their_range_are_refused(config: Callable) -> None:
 
 @pytest.mark.parametrize(("launcher", "jobs"), [("workers", -1), ("joblib", -1), ("basic", None)])
 def test_hydra_s_launchers_compose(launcher: str, jobs: int | None) -> None:
+    register()
     with initialize_config_module("see2act.conf", version_base="1.3"):
         default = compose("train", return_hydra_config=True)
         cfg = compose("train", [f"hydra/launcher={launcher}"], return_hydra_config=True)
