@@ -55,12 +55,14 @@ class Campaign:
         return Command(arguments, cwd, cwd / "printed.txt")
 
     def kill(self, command: Command, where: str, victim: int | None = None) -> None:
-        """End a command, or one process of it, and see that nothing of it is left."""
+        """End a command, or one worker of it, and see that nothing of it is left."""
         os.kill(victim or command.process.pid, self.signal)
         status = command.wait()
         self.kills[where] += 1
-        if status == 0:
+        if status == 0 and not victim:  # a worker may have had nothing left to do
             self.fault(f"{where}: killed, and the exit status is 0")
+        if victim and "Traceback" in command.printed:
+            self.fault(f"{where}: a traceback was printed: {command.printed[-1500:]}")
         if left := command.orphans():
             self.fault(f"{where}: {len(left)} processes are left")
             for pid in left:
@@ -143,6 +145,7 @@ def _sweep(campaign: Campaign, whole: Path, trial: int) -> None:
     folder = campaign.scratch / f"sweep{trial}"
     folder.mkdir()
     arguments = sweep(folder / "sweep", folder / "cache", *SWEEP)
+    runs = [path.parent.relative_to(whole / "sweep") for path in (whole / "sweep").rglob("result.json")]
     longest = max(sum(read_result(path).seconds.values()) for path in (whole / "sweep").rglob("result.json"))
     for one_worker in (False, True, False):
         command = campaign.start(arguments, folder)
@@ -152,8 +155,10 @@ def _sweep(campaign: Campaign, whole: Path, trial: int) -> None:
             break
         victim = next(iter(_workers(command)), None) if one_worker else None
         campaign.kill(command, "a sweep, a worker" if victim else "a sweep", victim)
+        results = len([*(folder / "sweep").rglob("result.json")])
+        if victim and command.wait() == 0 and results < len(runs):
+            campaign.fault(f"a sweep, a worker: killed, the exit status is 0, and {results} of {len(runs)} runs are finished")
     campaign.finish(arguments, folder, f"sweep {trial}")
-    runs = [path.parent.relative_to(whole / "sweep") for path in (whole / "sweep").rglob("result.json")]
     pairs = {folder / "sweep" / run: whole / "sweep" / run for run in runs}
     _compare(campaign, f"sweep {trial}", pairs, folder / "cache", whole / "cache")
     shutil.rmtree(folder)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TextIO, cast
 
@@ -49,7 +50,7 @@ class Unread:
 def user_errors_end_the_program() -> Iterator[None]:
     """Print the message of a :class:`UserError` on one line, without a traceback, and exit with status 1.
 
-    A disk that is full, or a folder that may not be written, counts as one.
+    A disk that is full, or a folder that may not be written, counts as one. So do Ctrl-C, and a worker process that was killed.
 
     From here on, standard output may be closed by its reader.
     """
@@ -60,3 +61,11 @@ def user_errors_end_the_program() -> Iterator[None]:
             yield
     except UserError as error:
         sys.exit(f"see2act: {error}")
+    except BrokenProcessPool:
+        sys.exit(
+            "see2act: something ended a worker process, perhaps the system because memory ran out: type the same command "
+            "again, with fewer workers (hydra.launcher.n_jobs=1, collect.workers=1) if it is short of memory"
+        )
+    except KeyboardInterrupt:  # and SIGTERM in a run
+        print("see2act: interrupted: type the same command again to go on", file=sys.stderr)
+        sys.exit(130)  # as shells say that a program was interrupted

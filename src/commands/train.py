@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from see2act.commands import user_errors_end_the_program
-from see2act.experiment.config import register
+from see2act.errors import ConfigError, UserError
+from see2act.experiment.config import one_line, register
 from see2act.experiment.preflight import check_command, check_sweep
 from see2act.experiment.single import run_checked
 from see2act.experiment.sweep import Summary, run_job
@@ -38,6 +41,8 @@ FLAGS = (
     "-cp",
 )
 """With these Hydra does something other than one run and does its own checking."""
+LAUNCHERS = ("submitit", "ray")
+"""Libraries whose errors say that a job was killed, or its machine."""
 
 
 def main() -> None:
@@ -47,9 +52,20 @@ def main() -> None:
         flags = {argument.split("=")[0] for argument in sys.argv[1:] if argument.startswith("-")}
         if flags and flags <= {"-m", "--multirun"}:
             check_sweep([argument for argument in sys.argv[1:] if not argument.startswith("-")])
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra itself prints the traceback of a worker that was killed
         elif not any(argument.split("=")[0] in FLAGS for argument in sys.argv[1:]):
             check_command(sys.argv[1:])
-    _hydra_main()
+        try:
+            _hydra_main()
+        except HydraException as error:
+            raise ConfigError(one_line(error)) from None
+        except Exception as error:
+            if Summary.of_sweep:
+                Summary.of_sweep.broken_off()
+            if type(error).__module__.partition(".")[0] not in LAUNCHERS:
+                raise
+            why = " ".join(str(error).splitlines()[:2])
+            raise UserError(f"a job was lost ({why}): type the same command again to go on") from error
     if Summary.failures:
         sys.exit(1)
 

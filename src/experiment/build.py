@@ -101,7 +101,10 @@ def fit(trainer: L.Trainer, module: L.LightningModule, data: L.LightningDataModu
     Raises:
         KeyboardInterrupt: A signal ended it; what follows must not take it for finished.
     """
-    trainer.fit(module, datamodule=data, **more)
+    try:
+        trainer.fit(module, datamodule=data, **more)
+    except SystemExit:  # so Lightning ends the program on Ctrl-C, without a word
+        raise KeyboardInterrupt from None
     if trainer.interrupted:  # Lightning says nothing else of a SIGTERM
         raise KeyboardInterrupt
 

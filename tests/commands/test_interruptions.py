@@ -44,7 +44,7 @@ def _evaluated(folder: Path) -> int:
 def test_kill_ends_a_run_promptly_while_it_is_evaluated_too(tmp_path: Path, cache: Path) -> None:
     folder = tmp_path / "run"
     overrides = ("logger=none", "task=none", "transfer=none", "finetune.attempts=9", "evaluate.at=[0,1]", "evaluate.runs=8")
-    process = subprocess.Popen(command_of(folder, cache, *overrides), cwd=tmp_path, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(command_of(folder, cache, *overrides), cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     try:
         wait(process, lambda: _evaluated(folder) > 0)
         evaluated = _evaluated(folder)
@@ -52,19 +52,23 @@ def test_kill_ends_a_run_promptly_while_it_is_evaluated_too(tmp_path: Path, cach
         # How many seconds depends on what else the machine does: what counts is that only the present attempt is finished.
         assert process.wait(timeout=60) != 0
         assert _evaluated(folder) <= evaluated + 2 < 8 * (2 + 2)
+        assert process.stderr is not None
+        told = process.stderr.read()
+        assert "see2act: interrupted: type the same command again to go on" in told
+        assert "Traceback" not in told
     finally:
         process.kill()
 
 
 def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, cache: Path) -> None:
-    """Four conditions, two at once; killed when the first is done. Nothing that was finished is run again."""
+    """Four conditions, two at once; killed when the first is done, workers left alone. Nothing finished is run again."""
     overrides = ("task=none", "transfer=none", "seed=0,1,2,3", "finetune.attempts=4", "hydra.launcher.n_jobs=2")
     sweep = tmp_path / "sweep"
     process = subprocess.Popen(sweep_of(sweep, cache, *overrides), cwd=tmp_path, start_new_session=True)
     try:
         wait(process, lambda: any(sweep.rglob("result.json")))
     finally:
-        os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
         process.wait()
     done = list(sweep.rglob("result.json"))
     assert len(done) < 4
@@ -73,6 +77,27 @@ def test_a_sweep_that_was_killed_goes_on(tmp_path: Path, cache: Path) -> None:
     assert again.returncode == 0, again.stderr[-3000:]
     assert len(list(sweep.rglob("result.json"))) == 4
     assert {path: path.stat().st_mtime_ns for path in done} == before
+
+
+def test_a_worker_of_a_sweep_that_was_killed_is_told_in_one_line(tmp_path: Path, cache: Path) -> None:
+    """As the system does when memory runs out."""
+    overrides = ("task=none", "transfer=none", "seed=0,1", "finetune.attempts=400", "hydra.launcher.n_jobs=2")
+    sweep = tmp_path / "sweep"
+    process = subprocess.Popen(
+        sweep_of(sweep, cache, *overrides), cwd=tmp_path, start_new_session=True, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        wait(process, lambda: len(list(sweep.rglob("attempts.csv"))) == 2)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        worker = next(child for child in children if b"LokyProcess" in Path(f"/proc/{child}/cmdline").read_bytes())
+        os.kill(int(worker), signal.SIGKILL)
+        told = process.communicate(timeout=120)[1]
+        assert process.returncode == 1
+        assert "see2act: something ended a worker process" in told
+        assert "Traceback" not in told
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def test_ctrl_c_ends_a_sweep_promptly(tmp_path: Path, cache: Path) -> None:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from functools import partial
 from pathlib import Path
 
@@ -97,6 +98,38 @@ def test_the_dashboard_is_read_back(run: tuple[Path, str]) -> None:
     (table,) = (offline / "files" / "media" / "table").glob("attempts_*.table.json")
     assert len(json.loads(table.read_text())["data"]) == len(rows_of(folder))
     assert "lookup" not in "".join(log.read_text() for log in (offline / "logs").glob("debug*.log"))
+
+
+def test_the_file_for_wandb_holds_the_whole_run(run: tuple[Path, str]) -> None:
+    """Record by record, as ``wandb sync`` sends it: whose run it is, configuration, history, figures, table, and its end."""
+    folder, _ = run
+    (offline,) = (folder / "wandb").glob("offline-run-*")
+    wandb = [sys.executable, "-m", "wandb", "leet", "inspect", "--json", str(offline)]
+    read = subprocess.run(wandb, capture_output=True, text=True, check=True, timeout=60)
+    records: dict[str, list[dict]] = defaultdict(list)
+    for line in read.stdout.splitlines():
+        record = json.loads(line)
+        records[record["type"]].append(record.get(record["type"]))
+    (known,) = records["run"]
+    assert (known["project"], known["run_group"]) == ("see2act", "sweep")
+    assert known["display_name"] == "grasp-foreground-full-seed-0"
+    config = {key: value for update in records["config"] for key, value in update["update"].items()}
+    assert (config["seed"], config["task"]["name"], config["finetune"]["attempts"]) == (0, "foreground", 6)
+    assert [step["step"]["num"] for step in records["history"]] == list(range(len(records["history"])))
+    history = [step["item"] for step in records["history"]]
+    result = json.loads((folder / "result.json").read_text())
+    learned = [step["affordance/success"] for step in history if "affordance/success" in step]
+    assert len(learned) == 6
+    assert sum(learned) == sum(int(row["success"]) for row in rows_of(folder) if row["phase"] == "finetune")
+    evaluated = [(step["attempts"], step["evaluate/unseen"]) for step in history if "evaluate/unseen" in step]
+    assert evaluated == [(each["step"], each["unseen"]["rate"]) for each in result["evals"]]
+    figures = [file for step in history for key, files in step.items() if key.endswith(".filenames") for file in files]
+    assert {Path(file).name.rsplit("_", 2)[0] for file in figures} == {path.stem for path in (folder / "figures").iterdir()}
+    assert all((offline / "files" / file).stat().st_size > 1000 for file in figures)
+    (table,) = [step for step in history if step.get("attempts._type") == "table-file"]
+    assert table["attempts.nrows"] == len(rows_of(folder))
+    assert (offline / "files" / table["attempts.path"]).exists()
+    assert [end["exit_code"] for end in records["exit"]] == [0]
 
 
 def test_what_seeds_have_in_common_is_evaluated_once(run: tuple[Path, str], cache: Path, tmp_path: Path) -> None:
