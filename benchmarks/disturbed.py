@@ -15,6 +15,7 @@ from typing import Any
 from uuid import uuid4
 
 import torch
+from safetensors.torch import load_file
 
 from see2act.datamodules.collect import Collection
 from see2act.errors import DamagedFile
@@ -114,7 +115,7 @@ def outcome(run: Path) -> dict[str, Any]:
     with (run / "attempts.csv").open() as file:
         attempts = [{key: text for key, text in row.items() if not key.startswith("t_")} for row in csv.DictReader(file)]
     checkpoints = run / "checkpoints"
-    weights = {"model": _digest((checkpoints / "model.safetensors").read_bytes())}
+    weights = {"model": _tensors(load_file(checkpoints / "model.safetensors"))}
     weights["affordance"] = _tensors(load_checkpoint(checkpoints / "affordance.ckpt", ("state_dict",))["state_dict"])
     if (checkpoints / "vision.ckpt").exists():
         weights["vision"] = _tensors(load_checkpoint(checkpoints / "vision.ckpt", ("network",))["network"])
