@@ -23,8 +23,8 @@ from benchmarks.common import finish
 from benchmarks.disturbed import ROOT, Command, damaged_files, differences, outcome, train
 
 RUN = ("task=edge", "transfer=full", "primitive=suction")
-ROOMS = (0.5, 2, 4, 6, 8)
-"""MiB of the disks that are too small. A run with its cache needs about 9."""
+ROOMS = (0.02, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
+"""Sizes of the disks, as shares of what the run and its cache take."""
 SHARES = (0.0, 0.5, 0.99)
 """What is left of a file that is cut short."""
 FAKETIME = "libfaketime.so.1"
@@ -76,8 +76,9 @@ class Bench:
 
 def full_disk(bench: Bench) -> Iterator[Faults]:
     """The disk fills up at some moment of a run; room is made, and the same command goes on."""
+    taken = sum(path.stat().st_blocks * 512 for part in (bench.whole, bench.cache) for path in part.rglob("*"))
     for room in ROOMS:
-        with _disk(bench.folder(), f"{int(room * 1024)}k") as disk:
+        with _disk(bench.folder(), str(int(room * taken))) as disk:
             run, cache = disk / "run", disk / "cache"
             faults = bench.refused(bench.type(run, cache), "No space left on device", "free some space")
             _mount("-o", "remount,size=200m", str(disk))
