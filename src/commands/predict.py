@@ -38,7 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         model = load(args.checkpoint, args.primitive)
         bounds = tuple(args.bounds) if args.bounds else None
         undistorted = inputs.pop("undistorted")
-        found = predict(**inputs, checkpoint=model, bounds=bounds, floor=args.floor, count=args.count, apart=args.apart)
+        found = predict(
+            **inputs,
+            checkpoint=model,
+            bounds=bounds,
+            floor=args.floor,
+            count=args.count,
+            apart=args.apart,
+            per_object=args.per_object,
+        )
     _write(args, found, picture(inputs["color"], found), model.config_hash)
     _tell(args, found, undistorted)
 
@@ -60,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--primitive", choices=("suction", "grasp"), help="refuse a checkpoint of the other one")
     add("--count", type=int, default=10, metavar="N", help="picks at most (default 10)")
     add("--apart", type=float, default=0.02, metavar="M", help="metres between any two (default 0.02)")
+    add("--per-object", type=int, metavar="N", help="picks on one object at most; objects that touch count as one")
     add("--out", type=Path, required=True, metavar="DIR", help="where picks.json and picks.png go")
     return parser
 
@@ -98,7 +107,7 @@ def _tell(args: argparse.Namespace, found: Prediction, undistorted: bool) -> Non
     if not args.bounds:
         print("without --bounds of the inside of the bin, what lies outside it may be picked")
     if not found.picks:
-        print("no pick: nothing may be picked there; check bounds, pose and background")
+        print("no pick: nothing is 5 mm above the floor or the background; check bounds, pose, floor and background")
     print(args.out / "picks.png")
 
 
@@ -119,7 +128,7 @@ def _grid(found: Prediction) -> dict[str, Any]:
 
 def _read(args: argparse.Namespace) -> dict[str, Any]:
     """The files, checked for what they are by themselves."""
-    for name in ("depth_scale", "apart", "count"):
+    for name in ("depth_scale", "apart", "count", "per_object"):
         if getattr(args, name) is not None and not 0 < getattr(args, name) < math.inf:
             raise UserError(f"--{name.replace('_', '-')} {getattr(args, name):g} must be a number above 0")
     if not writable(args.out):

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
+from see2act.prediction.depth import with_small_holes_filled, without_flying_pixels
 from see2act.prediction.errors import ImageError
 from see2act.prediction.floor import BELOW, DEEP, FLAT, Floor, floor_pose, level_floor
 from see2act.robot.heightmap import point_cloud
@@ -35,7 +36,11 @@ class PosedImage:
 
     color: UInt8[np.ndarray, "h w 3"]
     depth: Float[np.ndarray, "h w"]
-    """Metres along the optical axis; 0 where there is no reading."""
+    """Metres along the optical axis; 0 where there is no reading. Without flying pixels, and with small holes filled."""
+    read: Bool[np.ndarray, "h w"]
+    """Where the depth is a reading, and no hole that was filled."""
+    intrinsics: Float[np.ndarray, "3 3"]
+    """Pinhole matrix, pixels, for pixels whose centres are at the index and a half."""
     points: Float[np.ndarray, "h w 3"]
     """Metres in this frame, a point a pixel."""
     background: Float[np.ndarray, "h w"] | None
@@ -56,6 +61,15 @@ class PosedImage:
         """A point of this frame in the world, metres."""
         x, y = point[0] + self.middle[0], point[1] + self.middle[1]
         return np.array([x, y, point[2] + self.floor.at(x, y)])
+
+    def in_view(self, height: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+        """Which pixels of a heightmap of metres above the floor lie within the image."""
+        rows, cols = np.indices(height.shape, float)
+        x, y = (part + offset for part, offset in zip(self.workspace.to_world(rows, cols), self.middle, strict=True))
+        world = np.stack([x, y, height + self.floor.at(x, y), np.ones(height.shape)])
+        u, v, w = np.tensordot(self.intrinsics @ np.linalg.inv(self.pose)[:3], world, 1)
+        tall, wide = self.depth.shape
+        return np.asarray((w > 0) & (u > 0) & (u < wide * w) & (v > 0) & (v < tall * w))
 
 
 def look(
@@ -92,6 +106,10 @@ def look(
     depth = _metres(depth, color, "depth")
     background = None if background is None else _metres(background, color, "background depth")
     _check_matrices(intrinsics, pose, color.shape)
+    depth = without_flying_pixels(depth, intrinsics)
+    read, depth = depth > 0, with_small_holes_filled(depth, intrinsics)
+    if background is not None:
+        background = with_small_holes_filled(without_flying_pixels(background, intrinsics), intrinsics)
     centred, empty = intrinsics + HALF, depth if background is None else background
     to_world = floor_pose(empty, centred) if pose is None else np.asarray(pose, float)
     points = point_cloud(depth, centred, to_world)
@@ -104,7 +122,9 @@ def look(
     moved = _above(plane, points, middle)
     moved_empty = moved if background is None else _above(plane, empty_points, middle)
     _refuse_towers(moved_empty[(empty > 0) & _inside(empty_points, bounds), 2])
-    return PosedImage(color, depth, moved, background, moved_empty, workspace, middle, plane, to_world, tuple(notes))
+    return PosedImage(
+        color, depth, read, centred, moved, background, moved_empty, workspace, middle, plane, to_world, tuple(notes)
+    )
 
 
 def _inside(points: Float[np.ndarray, "h w 3"], bounds: tuple[float, float, float, float]) -> np.ndarray:
