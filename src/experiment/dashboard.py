@@ -13,7 +13,9 @@ from lightning.pytorch.loggers import Logger, TensorBoardLogger, WandbLogger
 from matplotlib.image import imread
 from omegaconf import DictConfig, OmegaConf
 
+from see2act.errors import ConfigError
 from see2act.experiment import attempts
+from see2act.experiment.config import one_line
 
 
 @dataclass(frozen=True)
@@ -30,11 +32,19 @@ class Dashboard:
         logger: Logger = instantiate(cfg.logger)(save_dir=str(folder), name=name.replace(" ", "-"))
         if isinstance(logger, WandbLogger):
             import wandb
+            from wandb.analytics.opentelemetry.opentelemetry_proxy import disable as disable_analytics
 
             # Otherwise it is silent only after it has warned of a setting that Lightning always passes.
             if cfg.logger.get("offline"):
                 os.environ["WANDB_MODE"] = "offline"  # as Lightning does, later
-            wandb.setup()
+            # It is not wanted here. And if wandb's service cannot start, reporting that waits for ever for a lock.
+            disable_analytics()
+            try:
+                wandb.setup()
+            except wandb.Error as error:
+                raise ConfigError(
+                    f"wandb cannot start ({one_line(error)}): mend that, or add logger=tensorboard or none"
+                ) from None
         config: Any = OmegaConf.to_container(cfg, resolve=True)
         logger.log_hyperparams(config)
         return cls(logger)
