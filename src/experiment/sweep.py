@@ -8,8 +8,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from see2act.errors import DamagedFile, MissingWeights, UserError, storage_errors
 from see2act.experiment.checks import impossible_condition
@@ -44,10 +45,31 @@ class Summary(Callback):
 
     failures = 0
     """Jobs of this process's sweep that failed."""
+    of_sweep: Summary | None = None
+    """The one of this process's sweep."""
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Hydra calls this before the first job."""
-        self._earlier = _written(Path(config.hydra.sweep.dir))
+        Summary.of_sweep = self
+        self._config, self._earlier, self._queue = config, _written(Path(config.hydra.sweep.dir)), None
+        if OmegaConf.select(config, "hydra.launcher._target_", default="").endswith(".SlurmLauncher"):
+            from see2act.experiment.slurm import watch_queue  # submitit is an extra
+
+            self._queue = watch_queue()
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **_: Any) -> None:
+        """Hydra calls this after each job, and would keep two whole configurations of each until the last."""
+        job_return.cfg = job_return.hydra_cfg = None
+
+    def broken_off(self) -> None:
+        """Log the same of a sweep that its launcher gave up, as all launchers do when a job is killed.
+
+        Jobs that SLURM has been given go on, and are waited for.
+        """
+        if self._queue:
+            log.info("a job was lost; the others go on (Ctrl-C does not end them, scancel does)")
+            self._queue.wait_for_all()
+        self.on_multirun_end(self._config)
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         """Hydra calls this after the last job. Jobs run in processes of their own, so they leave notes."""
@@ -64,6 +86,14 @@ class Summary(Callback):
             if name == FAILED:
                 Summary.failures = len(lines)
         jobs = [path.parent.parent for path in new if path.match(COMPOSED)]
+        if lost := [job for job in jobs if not any((job / name).exists() for name in ("result.json", *SUMMARY))]:
+            names = "\n  ".join(str(job.relative_to(folder)) for job in lost)
+            log.error(
+                "%d jobs were begun and are not finished; they go on when the same sweep is started again:\n  %s",
+                len(lost),
+                names,
+            )
+            Summary.failures += len(lost)
         if jobs and not any((job / name).exists() for job in jobs for name in ("run.json", "result.json", *NOT_RUN)):
             log.error("not one job ran: none of these combinations is possible and a condition of the experiment")
             Summary.failures += 1
