@@ -188,6 +188,8 @@ def bare_user(bench: Bench) -> Iterator[Faults]:
         folder.chmod(0o777)
     bare = ["env", "-i", f"PATH={os.environ['PATH']}", "LC_ALL=C", "PYTHONDONTWRITEBYTECODE=1", "OMP_NUM_THREADS=1"]
     user = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", *bare]
+    if subprocess.run([*user, sys.executable, "-c", ""], check=False).returncode:
+        sys.exit(f"{sys.executable} is for its owner alone: chmod o+x the folders above the real one")
     for shell in ('"$@"', '"$@" | head -n 2'):
         run, cache = place / f"Läufe {len(shell)}", place / f"Zwischenspeicher {len(shell)}"
         arguments = [str(place / "train.py"), *train(run, cache, *RUN)[1:]]

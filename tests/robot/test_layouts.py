@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from see2act.errors import DamagedFile
 from see2act.experiment import build
 from see2act.robot.simulated import SimulatedRobot
 from see2act.robot.simulation import TIMESTEP
@@ -47,13 +46,18 @@ def test_both_tools_share_their_scenes_and_other_bins_do_not(config: Callable, t
     assert len({folder(), *(folder(*other) for other in others)}) == 1 + len(others)
 
 
-def test_a_damaged_file_is_named(make_robot: Callable[..., SimulatedRobot], tmp_path: Path) -> None:
+@pytest.mark.parametrize("left", [0, -20, None])
+def test_a_damaged_file_is_made_again(
+    make_robot: Callable[..., SimulatedRobot], tmp_path: Path, left: int | None, caplog: pytest.LogCaptureFixture
+) -> None:
     robot = make_robot(f"robot.layouts={tmp_path}")
     robot.reset(11, "seen", 1)
     (kept,) = tmp_path.rglob("*.json")
-    kept.write_text(kept.read_text()[:-20])
-    with pytest.raises(DamagedFile, match=f"{kept} is damaged.*delete it"):
-        robot.reset(11, "seen", 1)
+    whole = kept.read_text()
+    kept.write_text('{"objects": [{}]}' if left is None else whole[:left])
+    robot.reset(11, "seen", 1)
+    assert f"{kept} is damaged, and is made again" in caplog.text
+    assert kept.read_text() == whole
 
 
 def test_what_is_put_back_lies_still_when_it_is_woken(make_robot: Callable[..., SimulatedRobot], tmp_path: Path) -> None:
