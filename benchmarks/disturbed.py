@@ -139,7 +139,7 @@ def differences(run: Path, undisturbed: Mapping[str, Any]) -> list[str]:
 def damaged_files(cache: Path) -> list[str]:
     """Files of a cache that cannot be read, or were left half written."""
     found = [f"{path.name} is half written" for path in cache.rglob(".*.partial")]
-    for path in _kept(cache):
+    for path in kept(cache):
         try:
             if path.suffix == ".npz":
                 Collection.load(path)
@@ -155,7 +155,7 @@ def damaged_files(cache: Path) -> list[str]:
 def content(cache: Path) -> dict[str, str]:
     """A digest of what is in each file of a cache, by its path."""
     digests = {}
-    for path in _kept(cache):
+    for path in kept(cache):
         if path.suffix == ".npz":
             arrays = Collection.load(path).arrays
             digests[str(path.relative_to(cache))] = _digest(b"".join(arrays[key].tobytes() for key in sorted(arrays)))
@@ -168,8 +168,10 @@ def content(cache: Path) -> dict[str, str]:
     return digests
 
 
-def _kept(cache: Path) -> Iterator[Path]:
-    return (path for path in sorted(cache.rglob("*")) if path.suffix in (".npz", ".ckpt", ".json"))
+def kept(cache: Path) -> Iterator[Path]:
+    """Files of ours in a cache."""
+    ours = (path for path in sorted(cache.rglob("*")) if "wandb" not in path.parts)
+    return (path for path in ours if path.suffix in (".npz", ".ckpt", ".json"))
 
 
 def _tensors(state: Mapping[str, torch.Tensor]) -> str:

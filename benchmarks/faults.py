@@ -20,7 +20,7 @@ from tempfile import mkdtemp
 from typing import Any
 
 from benchmarks.common import finish
-from benchmarks.disturbed import ROOT, Command, damaged_files, differences, outcome, train
+from benchmarks.disturbed import ROOT, Command, damaged_files, differences, kept, outcome, train
 
 RUN = ("task=edge", "transfer=full", "primitive=suction")
 ROOMS = (0.02, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
@@ -164,7 +164,7 @@ def jumping_clock(bench: Bench) -> Iterator[Faults]:
 
 def cut_files(bench: Bench) -> Iterator[Faults]:
     """Each file of the cache is cut short: it is made again."""
-    files = [path.relative_to(bench.cache) for path in bench.cache.rglob("*") if path.suffix in (".npz", ".ckpt", ".json")]
+    files = [path.relative_to(bench.cache) for path in kept(bench.cache)]
     for name in files:
         for share in SHARES:
             folder = bench.folder()

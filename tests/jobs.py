@@ -35,8 +35,9 @@ def _width(overrides: tuple[str, ...]) -> tuple[str, ...]:
     return () if {"model=rpn_r50_fpn", "model=nanodet_g", "model=timm_fpn"} & {*overrides} else ("model.width=4",)
 
 
-def train(folder: Path, cache: Path, *overrides: str) -> str:
-    done = subprocess.run(command_of(folder, cache, *overrides), capture_output=True, text=True, timeout=500, cwd=folder.parent)
+def train(folder: Path, cache: Path, *overrides: str, **environment: str) -> str:
+    command, known = command_of(folder, cache, *overrides), os.environ | environment
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, cwd=folder.parent, env=known)
     assert done.returncode == 0, done.stderr[-3000:]
     assert "warning" not in done.stderr.lower(), done.stderr[-3000:]
     return done.stdout

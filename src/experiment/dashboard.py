@@ -37,6 +37,8 @@ class Dashboard:
             # Otherwise it is silent only after it has warned of a setting that Lightning always passes.
             if cfg.logger.get("offline"):
                 os.environ["WANDB_MODE"] = "offline"  # as Lightning does, later
+            for name in ("WANDB_CACHE_DIR", "WANDB_DATA_DIR"):  # by default they are at home, where a service may have none
+                os.environ.setdefault(name, str(Path(cfg.paths.cache).absolute() / "wandb"))
             # It is not wanted here. And if wandb's service cannot start, reporting that waits for ever for a lock.
             disable_analytics()
             try:

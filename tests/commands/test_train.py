@@ -36,7 +36,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("runs") / "first"
-    out = train(folder, cache, "logger=wandb", *RUN)
+    out = train(folder, cache, "logger=wandb", *RUN, HOME="/proc/nobody")  # as a service's user, who has none
     return folder, out
 
 
