@@ -27,8 +27,9 @@ def run_checked(cfg: DictConfig, folder: Path) -> float:
             do not fit.
     """
     validate(cfg)
-    check_run(cfg)
     refuse_foreign(folder, cfg)
+    if cfg.force or not (folder / "result.json").exists():  # what is finished could run
+        check_run(cfg)
     if cfg.force:
         with alone_in(folder):
             set_aside(folder)

@@ -33,6 +33,8 @@ SUMMARY = {
 }
 COMPOSED = ".hydra/config.yaml"
 """Hydra writes one for each job."""
+ENDS = ("result.json", *SUMMARY)
+"""What a job leaves one of, unless it was killed. One that an experiment does not name may leave nothing, and begins no run."""
 OF_CONDITIONS, NOT_RUN = (SKIPPED, LEFT_OUT), (MISSING, OTHER, FAILED)
 """Notes that say the same of all seeds, and notes of one run."""
 
@@ -86,7 +88,7 @@ class Summary(Callback):
             if name == FAILED:
                 Summary.failures = len(lines)
         jobs = [path.parent.parent for path in new if path.match(COMPOSED)]
-        if lost := [job for job in jobs if not any((job / name).exists() for name in ("result.json", *SUMMARY))]:
+        if lost := [job for job in jobs if (job / "run.json").exists() and not any((job / end).exists() for end in ENDS)]:
             names = "\n  ".join(str(job.relative_to(folder)) for job in lost)
             log.error(
                 "%d jobs were begun and are not finished; they go on when the same sweep is started again:\n  %s",

@@ -21,7 +21,8 @@ def summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Summary:
     monkeypatch.setattr(Summary, "of_sweep", None)
     begun = Summary()
     begun.on_multirun_start(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
-    for name, files in {"done": ("run.json", "result.json"), "lost": ("run.json",), "impossible": ("skipped.txt",)}.items():
+    jobs = {"done": ("run.json", "result.json"), "lost": ("run.json",), "impossible": ("skipped.txt",), "not named": ()}
+    for name, files in jobs.items():
         for file in (*files, ".hydra/config.yaml"):
             (tmp_path / name / file).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / name / file).write_text("why")
