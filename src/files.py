@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from see2act.errors import DamagedFile
+
+HOST = platform.node()
+"""Of several that write to one disk."""
 
 
 def writable(folder: Path) -> bool:
@@ -29,9 +34,12 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: It cannot be written. The error names ``path``.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{HOST}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        for left in path.parent.glob(f".{escape(path.name)}.{escape(HOST)}.*.partial"):
+            if not _lives(int(left.name.split(".")[-2])):  # it was killed while it wrote the same file
+                left.unlink(missing_ok=True)
         yield partial
         with partial.open("rb") as file:
             os.fsync(file.fileno())  # or a machine that loses its power may keep the name and lose what is in the file
@@ -42,6 +50,16 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def sweep_up(folder: Path) -> None:

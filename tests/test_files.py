@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from see2act.datamodules.workers import end_with_parent
 from see2act.errors import DamagedFile, StorageError, storage_errors
 from see2act.experiment import identity
 from see2act.experiment.cache import once
-from see2act.files import read_arrays, read_json, replacing, sweep_up, write_arrays, write_json
+from see2act.files import HOST, read_arrays, read_json, replacing, sweep_up, write_arrays, write_json
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
@@ -44,6 +45,24 @@ def test_what_a_kill_left_half_written_is_swept_up(tmp_path: Path) -> None:
     sweep_up(tmp_path)
     assert elsewhere.exists()
     assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["kept.json"]
+
+
+def test_what_a_killed_process_left_of_a_file_goes_when_it_is_written_again(tmp_path: Path) -> None:
+    child = multiprocessing.get_context("spawn").Process(target=_killed_while_writing, args=(tmp_path / "a.json",))
+    child.start()
+    child.join(60)
+    assert child.exitcode == -signal.SIGKILL
+    other = tmp_path / f".a.json.{HOST}.{os.getppid()}.partial"  # of a process that is at work
+    other.touch()
+    assert len(list(tmp_path.iterdir())) == 2
+    write_json(tmp_path / "a.json", 1)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.json", other.name}
+
+
+def _killed_while_writing(path: Path) -> None:
+    with replacing(path) as partial:
+        partial.write_text("half of")
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _make(path: Path) -> None:
