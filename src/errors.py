@@ -8,13 +8,21 @@ from contextlib import contextmanager
 
 STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
 """Errors of files for which the code cannot do anything: no room, or no permission."""
+NAMES = (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR)
+"""Errors of paths at which there can be no such file."""
 
 
 class UserError(Exception):
     """Something that a user gave cannot be used. The message is one line and says what to do about it.
 
     Every command prints the message and ends. Anything else that is raised is a bug.
+
+    Args:
+        message: Line breaks in it, as in the name of a file or in what another library says, become spaces.
     """
+
+    def __init__(self, message: str):
+        super().__init__(" ".join(message.splitlines()))
 
 
 class ConfigError(UserError, ValueError):
@@ -29,15 +37,17 @@ class DivergedError(UserError, ArithmeticError):
 
 
 class StorageError(UserError):
-    """A file that cannot be written, since the disk is full or the folder is another's."""
+    """A file that cannot be, since the disk is full, the folder is another's, or its path is none."""
 
 
 @contextmanager
 def storage_errors() -> Iterator[None]:
-    """Make a :class:`StorageError` of an ``OSError`` that says that there is no room or no permission."""
+    """Make a :class:`StorageError` of an ``OSError`` that says that there is no room, no permission, or no such path."""
     try:
         yield
     except OSError as error:
+        if error.errno in NAMES and error.filename:
+            raise StorageError(f"{error.filename} cannot be there ({error.strerror}): give another path") from error
         if error.errno not in STORAGE:
             raise
         mend = (

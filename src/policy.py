@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Bool, Float
 from scipy import stats
 from scipy.special import expit
 
 from see2act.errors import DivergedError
-from see2act.robot.types import Heightmap
+from see2act.robot.types import Heightmap, NotNegative
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,11 @@ class Policy:
     name: str
     suppress: bool
     pixel: float
-    radius: float = 0.01
-    angles: int = 2
-    changed_height: float = 0.008
-    changed_share: float = 0.1
-    changed_radius: float = 0.03
+    radius: NotNegative = 0.01
+    angles: Annotated[int, Ge(0)] = 2
+    changed_height: NotNegative = 0.008
+    changed_share: NotNegative = 0.1
+    changed_radius: NotNegative = 0.03
     footprint: tuple[float, float] = (0.0, 0.0)
     _failures: list[_Failure] = field(default_factory=list)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import torch
+from hypothesis import settings
 from omegaconf import DictConfig
 
 from see2act.experiment import build
@@ -16,6 +17,7 @@ from see2act.robot.simulated import SimulatedRobot
 # As many tests run at once as there are cores. Threads of torch that find no free core wait for each other, busily.
 torch.set_num_threads(1)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests run
+settings.register_profile("long", max_examples=10 * settings.default.max_examples)  # pytest --hypothesis-profile=long
 
 
 @pytest.fixture(scope="session")

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import os
-import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 from yaml import YAMLError
 
 from see2act.errors import DamagedFile
 from see2act.experiment import attempts
-from see2act.experiment.attempts import AttemptRow
+from see2act.experiment.attempts import UNREADABLE, AttemptRow, fault
 from see2act.experiment.identity import LOCAL, LOCAL_ROBOT, LOCAL_TRAINER
 from see2act.experiment.results import RunResult, curve, read_result
 from see2act.robot.types import Split
@@ -45,6 +44,8 @@ NAMED = ("model", "objects", "workspace", "camera", "policy", "precision")
 UNKNOWN = "unknown"
 CONFIGURATION = "configuration"
 """Key of a protocol: ``read``, or ``unknown`` of runs that have lost theirs."""
+NO_YAML = (OSError, ValueError, TypeError, AttributeError, RecursionError, OmegaConfBaseException, YAMLError)
+"""What reading a damaged configuration may raise."""
 ATTEMPTS = ("attempts.csv.gz", "attempts.csv")
 """Where the attempts of a run are: compressed in runs that were kept."""
 
@@ -169,9 +170,12 @@ def _read(folder: Path, place: str, notices: list[str]) -> Run:
 def _config(folder: Path) -> DictConfig | None:
     try:
         config = OmegaConf.load(folder / ".hydra" / "config.yaml")
-    except (OSError, YAMLError, UnicodeDecodeError):
+        plain: Any = OmegaConf.to_container(config)
+        named = plain.get("conditions", plain.get("cells", [])) if isinstance(plain, dict) else None
+    except NO_YAML:
         return None
-    return config if isinstance(config, DictConfig) and config else None
+    sensible = isinstance(named, list) and all(isinstance(word, str) and word.count("/") == 2 for word in named)
+    return config if isinstance(config, DictConfig) and config and sensible else None
 
 
 def _flat(config: DictConfig | None) -> dict[str, str]:
@@ -189,29 +193,21 @@ def _overrides(folder: Path) -> tuple[str, ...] | None:
     try:
         # As typed: an interpolation means something within the whole configuration alone.
         overrides: Any = OmegaConf.to_container(OmegaConf.load(folder / ".hydra" / "overrides.yaml"))
-    except (OSError, YAMLError, UnicodeDecodeError):
+    except NO_YAML:
         return None
-    return tuple(map(str, overrides))
+    return tuple(map(str, overrides)) if isinstance(overrides, list) else None
 
 
 def _attempts(folder: Path, place: str, result: RunResult, notices: list[str]) -> list[AttemptRow]:
     try:
         rows = attempts.read(attempts_of(folder) or folder / ATTEMPTS[-1])
     except UNREADABLE as error:
-        notices.append(f"{place}/attempts.csv cannot be read ({_reason(error)}): robot time and causes leave this run out.")
+        notices.append(f"{place}/attempts.csv cannot be read ({fault(error)}): robot time and causes leave this run out.")
         return []
     if curve(rows) != result.curve:
         notices.append(f"{place}/attempts.csv does not belong to its result.json: robot time and causes leave this run out.")
         return []
     return rows
-
-
-UNREADABLE = (OSError, EOFError, zlib.error, ValueError, LookupError, TypeError, csv.Error)
-"""What reading attempts may raise."""
-
-
-def _reason(error: Exception) -> str:
-    return f"there is no column {error}" if isinstance(error, KeyError) else str(error)
 
 
 def attempts_of(folder: Path) -> Path | None:
@@ -261,5 +257,5 @@ def _unfinished(folder: Path, place: str) -> Unfinished:
     else:
         state = "stopped before its first attempt"
     if (failed := folder / "failed.txt").is_file():
-        state += f"; failed: {failed.read_text()}"
+        state += f"; failed: {' '.join(failed.read_text(errors='replace').split())}"
     return Unfinished(place, **names, seed=seed, state=state)

@@ -16,6 +16,7 @@ from see2act.commands import user_errors_end_the_program
 from see2act.errors import ConfigError
 from see2act.experiment.checks import check_parts, validate
 from see2act.experiment.config import composed
+from see2act.experiment.preflight import leave_unmeasured
 from see2act.files import writable
 
 MODELS = Path(str(resources.files("see2act.models")))
@@ -51,6 +52,7 @@ def clear(overrides: Sequence[str], checkpoint: Path | None, out: Path, film: bo
     cfg = composed(["task=none", "transfer=none", *overrides])
     if "video" in cfg.robot and not any(override.startswith("robot.video=") for override in overrides):
         cfg.robot.video = film
+    leave_unmeasured(cfg)  # a trained model decides in fp32
     validate(cfg)
     check_parts(cfg)
     torch.set_num_threads(cfg.threads)

@@ -26,7 +26,7 @@ def main() -> None:
         print("\n`see2act COMMAND --help` says more.")
         return
     if name not in COMMANDS:
-        sys.exit(f"see2act: there is no command '{name}': choose one of {', '.join(COMMANDS)}")
+        sys.exit(f"see2act: there is no command {name!r}: choose one of {', '.join(COMMANDS)}")
     sys.argv = [f"see2act {name}", *sys.argv[2:]]
     import_module(f"see2act.commands.{name}").main()
 

@@ -11,6 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
 from see2act.commands import user_errors_end_the_program
 from see2act.errors import ConfigError, UserError
@@ -41,6 +42,8 @@ FLAGS = (
     "-cp",
 )
 """With these Hydra does something other than one run and does its own checking."""
+CONFUSED = (HydraException, OmegaConfBaseException, ValueError)
+"""What it then says of a command line that makes no sense."""
 LAUNCHERS = ("submitit", "ray")
 """Libraries whose errors say that a job was killed, or its machine."""
 
@@ -50,14 +53,16 @@ def main() -> None:
     register()
     with user_errors_end_the_program():
         flags = {argument.split("=")[0] for argument in sys.argv[1:] if argument.startswith("-")}
+        expected = CONFUSED if flags & {*FLAGS} - {"-m", "--multirun"} else (HydraException,)
         if flags and flags <= {"-m", "--multirun"}:
             check_sweep([argument for argument in sys.argv[1:] if not argument.startswith("-")])
-            os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra itself prints the traceback of a worker that was killed
-        elif not any(argument.split("=")[0] in FLAGS for argument in sys.argv[1:]):
+        elif not flags & {*FLAGS}:
             check_command(sys.argv[1:])
+        if flags:
+            os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra prints a traceback of its own, as of a worker that was killed
         try:
             _hydra_main()
-        except HydraException as error:
+        except expected as error:
             raise ConfigError(one_line(error)) from None
         except Exception as error:
             if Summary.of_sweep:

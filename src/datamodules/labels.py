@@ -7,15 +7,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
+from annotated_types import Gt, Le
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from see2act.robot.types import Heightmap
+from see2act.errors import ConfigError
+from see2act.robot.types import Heightmap, NotNegative
 
+LONGEST = 1.0
+"""Metres: of a window or radius."""
 LabelSource = Literal["truth", "vision"]
 
 
@@ -29,18 +33,36 @@ class View:
     """Id of the object in each cell, (H, W); -1 for none."""
     background: Heightmap
 
+    @classmethod
+    def of_a_block(cls, shape: tuple[int, int]) -> View:
+        """A white block of 3 cm on a black floor, for trying out a task."""
+        block = np.zeros(shape, bool)
+        block[tuple(slice(side // 3, side - side // 3) for side in shape)] = True
+        empty, full = (
+            Heightmap(
+                np.repeat(255 * seen[..., None], 3, axis=2).astype(np.uint8), seen * np.float32(0.03), np.ones(shape, bool)
+            )
+            for seen in (np.zeros(shape, bool), block)
+        )
+        return cls(full, full, np.where(block, 0, -1), empty)
+
 
 class Task(ABC):
     """A vision task: a binary label for every pixel.
 
     Args:
         pixel: Metres per pixel.
+
+    Raises:
+        ConfigError: ``pixel`` is not above 0.
     """
 
     tolerance = 0
     """Pixels by which a prediction may be off a label and still count as correct."""
 
     def __init__(self, pixel: float):
+        if not pixel > 0:
+            raise ConfigError(f"task.label.pixel={pixel} must be above 0: leave it at workspace.pixel")
         self.pixel = pixel
 
     def label(self, view: View, source: LabelSource) -> Bool[np.ndarray, "H W"]:
@@ -56,7 +78,13 @@ class Task(ABC):
         """Labels from what a real robot could sense."""
 
     def pixels(self, metres: float) -> int:
-        """Convert a length to whole pixels, at least 1."""
+        """Convert a length to whole pixels, at least 1.
+
+        Raises:
+            ConfigError: It is longer than any bin.
+        """
+        if metres > LONGEST:
+            raise ConfigError(f"a length of {metres:g} m is more than {LONGEST:g} m: give lengths in metres, within the bin")
         return max(1, round(metres / self.pixel))
 
     def window(self, metres: float) -> int:
@@ -75,7 +103,7 @@ class Edge(Task):
 
     tolerance = 2
 
-    def __init__(self, pixel: float, low: float, high: float, blur: float):
+    def __init__(self, pixel: float, low: NotNegative, high: NotNegative, blur: Annotated[float, Gt(0), Le(100)]):
         super().__init__(pixel)
         self._low, self._high, self._blur = low, high, blur
 
@@ -103,7 +131,7 @@ class Corner(Task):
 
     tolerance = 2
 
-    def __init__(self, pixel: float, window: float, k: float, threshold: float, radius: float):
+    def __init__(self, pixel: float, window: NotNegative, k: float, threshold: float, radius: NotNegative):
         super().__init__(pixel)
         self._window, self._k, self._threshold, self._radius = window, k, threshold, radius
 
@@ -131,7 +159,7 @@ class Foreground(Task):
         opening: Specks smaller than this are removed as noise, metres.
     """
 
-    def __init__(self, pixel: float, height: float, color: float, opening: float):
+    def __init__(self, pixel: float, height: float, color: NotNegative, opening: NotNegative):
         super().__init__(pixel)
         self._height, self._color, self._opening = height, color, opening
 
@@ -160,7 +188,7 @@ class Center(Task):
 
     tolerance = 2
 
-    def __init__(self, pixel: float, radius: float, smallest: float, foreground: Foreground):
+    def __init__(self, pixel: float, radius: NotNegative, smallest: NotNegative, foreground: Foreground):
         super().__init__(pixel)
         self._radius, self._smallest, self._foreground = radius, smallest, foreground
 
@@ -192,7 +220,13 @@ class Normal(Task):
     """
 
     def __init__(
-        self, pixel: float, window: float, tilt: float, roughness: float, sensed_roughness: float, foreground: Foreground
+        self,
+        pixel: float,
+        window: NotNegative,
+        tilt: NotNegative,
+        roughness: NotNegative,
+        sensed_roughness: NotNegative,
+        foreground: Foreground,
     ):
         super().__init__(pixel)
         self._window, self._tilt = window, tilt

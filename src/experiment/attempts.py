@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import gzip
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
+from see2act.errors import DamagedFile
 from see2act.files import replacing
 from see2act.robot.types import Split
 
@@ -156,8 +158,16 @@ class AttemptsCsv:
 
         Args:
             keep: Which rows of an earlier, interrupted run stay.
+
+        Raises:
+            DamagedFile: What is there is no log of attempts.
         """
-        rows = [row for row in read(self.path) if keep(row)] if self.path.exists() else []
+        try:
+            rows = [row for row in read(self.path) if keep(row)] if self.path.exists() else []
+        except UNREADABLE as error:
+            raise DamagedFile(
+                f"{self.path} is damaged ({fault(error)}): move the folder of its run away, and type the same command again"
+            ) from None
         with replacing(self.path) as partial, partial.open("w", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS)
             writer.writeheader()
@@ -169,11 +179,20 @@ class AttemptsCsv:
             csv.DictWriter(file, COLUMNS).writerows(row.texts() for row in rows)
 
 
+UNREADABLE = (OSError, EOFError, zlib.error, ValueError, LookupError, TypeError, csv.Error)
+"""What reading attempts may raise."""
+
+
+def fault(error: Exception) -> str:
+    """What is wrong with a file of attempts, in a few words."""
+    return f"there is no column {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
+
+
 def read(path: Path) -> list[AttemptRow]:
     """Complete rows of the file, which may be compressed (.gz); one cut short by a kill is left out.
 
     Raises:
-        KeyError, ValueError: It is not what a run writes.
+        UNREADABLE: It is not what a run writes.
     """
     with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
         return [AttemptRow.parse(texts) for texts in csv.DictReader(file) if texts[COLUMNS[-1]] is not None]

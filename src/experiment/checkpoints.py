@@ -11,6 +11,9 @@ import torch
 
 from see2act.files import damaged, replacing
 
+STATES = ("state_dict", "network")
+"""Keys under which there are a network's parameters."""
+
 
 def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
     """Write tensors and plain containers, atomically.
@@ -41,4 +44,7 @@ def load_checkpoint(path: Path, keys: Collection[str], device: torch.device | st
         raise damaged(path, error) from None
     if not isinstance(content, dict) or not {*keys} <= content.keys():
         raise damaged(path, ValueError(f"it lacks {' or '.join(keys)}"))
+    for key in {*keys} & {*STATES}:
+        if not isinstance(content[key], Mapping) or not all(isinstance(value, torch.Tensor) for value in content[key].values()):
+            raise damaged(path, ValueError(f"its {key} is not of tensors"))
     return content

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from hydra.errors import HydraException
 from hydra.utils import instantiate
@@ -13,11 +13,16 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from see2act.errors import ConfigError
-from see2act.experiment.annotations import check_arguments, check_schema
+from see2act.experiment.annotations import check_arguments, check_builds, check_schema
 from see2act.experiment.attended import attended
 from see2act.experiment.config import one_line
 from see2act.experiment.identity import CHOICES, WORD
 from see2act.robot.types import RobotError
+
+GIVEN = {"policy": ("pixel", "footprint"), "robot": ("workspace", "camera", "objects", "end_effector")}
+"""Arguments of a group that come from elsewhere in the configuration."""
+MOST_PARAMETERS = 10**9
+"""Of a network: four gigabytes, and several times as much while it learns."""
 
 
 def impossible_condition(cfg: DictConfig) -> str | None:
@@ -119,8 +124,10 @@ def _check_real(cfg: DictConfig) -> None:
 
 def _check_model(cfg: DictConfig) -> None:
     """Refuse keys of the model that nothing reads: ``+model.widht=64`` would train another one than is meant."""
+    if not OmegaConf.is_dict(cfg.model.get("network")):
+        raise ConfigError(f"model.network={cfg.model.get('network')} builds no network: choose an option of conf/model")
     interpolations = re.findall(r"\$\{.*?\}", OmegaConf.to_yaml(cfg))
-    read = {"name", "rates", "network", *cfg.model.get("network", {}), *re.findall(r"\w+", " ".join(interpolations))}
+    read = {"name", "rates", "network", *cfg.model.network, *re.findall(r"\w+", " ".join(interpolations))}
     if unread := [str(key) for key in cfg.model if key not in read]:
         known = ", ".join(str(key) for key in cfg.model if key in read)
         raise ConfigError(f"model.{unread[0]} is read by nothing: model={cfg.model.name} has {known}")
@@ -147,6 +154,10 @@ def _check_lengths(cfg: DictConfig) -> None:
 def _check_vision(cfg: DictConfig) -> None:
     if cfg.task.weights and not (cfg.task.label or cfg.task.off_the_shelf or cfg.task.affordance):
         raise ConfigError(f"task={cfg.task.name} takes no task.weights: choose the task that the weights were trained on")
+    if cfg.transfer.parts and not (cfg.task.label or cfg.task.off_the_shelf or cfg.task.affordance):
+        raise ConfigError(
+            f"task={cfg.task.name} has neither labels nor weights, so nothing can be copied: give it a task.label"
+        )
     if cfg.task.weights and not cfg.task.affordance and not Path(cfg.task.weights).is_file():
         kind = "weights of that network" if cfg.task.off_the_shelf else "a run's checkpoints/vision.ckpt"
         if Path(cfg.task.weights).is_dir():
@@ -177,14 +188,28 @@ def check_parts(cfg: DictConfig) -> None:
 
     try:
         for group in ("policy", "model", "workspace", "camera", "objects", "robot", "task", "primitive"):
-            check_arguments(cfg[group], group)
+            check_arguments(cfg[group], group, GIVEN.get(group, ()))
+        for part in _built(cfg):
+            check_builds(OmegaConf.select(cfg, part), part)
         build.robot_factory(cfg, cfg.primitive)().close()
         build.policy(cfg)
         with torch.device("meta"):  # parameters without values: nothing is drawn from anybody's generator
-            instantiate(cfg.model.network)
+            parameters = sum(parameter.numel() for parameter in instantiate(cfg.model.network).parameters())
+        if parameters > MOST_PARAMETERS:
+            sizes = ", ".join(f"model.{key}={value}" for key, value in cfg.model.items() if not OmegaConf.is_config(value))
+            raise ConfigError(f"{sizes} makes {parameters:.0e} parameters, more than {MOST_PARAMETERS:.0e}: make it smaller")
     except (RobotError, HydraException, OmegaConfBaseException) as error:
         cause = error.__cause__ if isinstance(error, HydraException) and error.__cause__ else error
         raise ConfigError(one_line(cause)) from None
+
+
+def _built(cfg: DictConfig) -> Iterator[str]:
+    """Keys of what a run builds, whatever it does."""
+    yield from ("policy", "model.network", "workspace", "camera", "objects", "robot", "primitive.end_effector")
+    if cfg.task.label:
+        yield "task.label"
+    if cfg.task.off_the_shelf:
+        yield f"task.off_the_shelf.{cfg.model.name}"
 
 
 def check_run(cfg: DictConfig) -> None:
@@ -193,49 +218,25 @@ def check_run(cfg: DictConfig) -> None:
     Raises:
         ConfigError: With one line.
     """
-    from see2act.experiment import build
-
     check_parts(cfg)
     if cfg.robot.get("dry_run"):
         raise ConfigError("robot.dry_run=true carries no pick through, so a run would try for ever: leave it to demo.py")
-    for group in ("trainer", "logger", "collect.primitive"):
-        check_arguments(OmegaConf.select(cfg, group), group)
-    if attended(cfg) and build.needs_observations(cfg):
-        build.observations(cfg)
+
+    from see2act.experiment import build
+    from see2act.experiment.tries import try_collector, try_labels, try_shape, try_trainer
+
+    for group in ("trainer", "logger"):
+        check_arguments(cfg[group], group, partial=True)
+    check_arguments(cfg.collect.primitive, "collect.primitive")
+    for part in ("trainer", *(["logger"] if cfg.logger else []), "collect.primitive.end_effector"):
+        check_builds(OmegaConf.select(cfg, part), part)
+    if build.needs_observations(cfg):
+        if attended(cfg):
+            build.observations(cfg)
+        else:
+            try_collector(cfg)
     learns_to_see = cfg.task.label and not cfg.task.weights
     if learns_to_see:
-        _check_shape(cfg)
-    _check_trainer(cfg, {} if learns_to_see else build.one_device(cfg))
-
-
-def _check_shape(cfg: DictConfig) -> None:
-    """Run a heightmap through the network: a vision model learns from whole ones, of whatever size the workspace has."""
-    import torch
-
-    rows, cols = instantiate(cfg.workspace).shape
-    with torch.random.fork_rng(devices=[]), torch.no_grad():
-        network = instantiate(cfg.model.network).eval()
-        try:
-            given = tuple(network(torch.zeros(1, 4, rows, cols)).shape)
-        except (RuntimeError, ValueError, AssertionError) as error:
-            raise ConfigError(
-                f"model={cfg.model.name} takes no heightmap of {rows} x {cols} pixels: {one_line(error)}"
-            ) from None
-    if given != (1, 1, rows, cols):
-        raise ConfigError(
-            f"model={cfg.model.name} gives {given} for a heightmap of {rows} x {cols} pixels, not (1, 1, {rows}, {cols}): "
-            f"its head must give a logit for every pixel of an input whose sides are multiples of its stride, {network.stride}"
-        )
-
-
-def _check_trainer(cfg: DictConfig, here: dict[str, Any]) -> None:
-    """Build one, since what it asks for need not be in this machine."""
-    from lightning.pytorch.utilities.exceptions import MisconfigurationException
-
-    from see2act.experiment.quiet import quiet
-
-    quiet()
-    try:
-        instantiate(cfg.trainer)(**here)
-    except (HydraException, MisconfigurationException, ValueError, TypeError, RuntimeError) as error:
-        raise ConfigError(f"this machine has no such trainer: {one_line(error)}") from None
+        try_shape(cfg)
+        try_labels(cfg)
+    try_trainer(cfg, {} if learns_to_see else build.one_device(cfg))

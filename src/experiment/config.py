@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-from annotated_types import Ge
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
@@ -22,8 +21,12 @@ from see2act.experiment.identity import WORD, config_hash
 from see2act.experiment.precision import fastest_precision
 
 NO_OTHER_KEYS = ConfigDict(extra="forbid")
-Count = Annotated[int, Ge(1)]
-NotNegativeInt = Annotated[int, Ge(0)]
+MOST = 10**6
+"""Of anything that is counted: more would take years, or all memory."""
+Count = Annotated[int, Field(ge=1, le=MOST)]
+NotNegativeInt = Annotated[int, Field(ge=0, le=MOST)]
+Processes = Annotated[int, Field(ge=1, le=1024)]
+"""Or threads."""
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -95,7 +98,7 @@ class PrimitiveConfig:
 
     __pydantic_config__ = NO_OTHER_KEYS
     name: Word = MISSING
-    angles: Count = MISSING
+    angles: Annotated[int, Field(ge=1, le=360)] = MISSING
     footprint: list[float] = field(default_factory=list)
     """Metres from the middle of the open tool to its ends, along the jaws and across: what needs room between the walls."""
     end_effector: dict[str, Any] = field(default_factory=dict)
@@ -120,7 +123,7 @@ class CollectConfig:
     interactions: Count = MISSING
     per_scene: Count = MISSING
     seed: int = MISSING
-    workers: Count = MISSING
+    workers: Processes = MISSING
     folder: str | None = MISSING
     """Where observations of a robot are kept whose bin a person fills, a file each. A later run takes the first of them, and
     adds what it needs beyond; no new version discards them. null for a simulated robot, whose observations are in the cache."""
@@ -146,13 +149,13 @@ class ReplayConfig:
     """Prioritized experience replay."""
 
     __pydantic_config__ = NO_OTHER_KEYS
-    alpha: NotNegative = MISSING
-    beta: NotNegative = MISSING
+    alpha: Annotated[float, Field(ge=0, le=10)] = MISSING
+    beta: Annotated[float, Field(ge=0, le=10)] = MISSING
     floor: Positive = MISSING
     mirror: bool = MISSING
     rotation: NotNegative = MISSING
     shift: NotNegative = MISSING
-    color_jitter: NotNegative = MISSING
+    color_jitter: Annotated[float, Field(ge=0, le=1)] = MISSING
 
 
 @dataclass
@@ -161,7 +164,7 @@ class FinetuneConfig:
 
     __pydantic_config__ = NO_OTHER_KEYS
     attempts: NotNegativeInt = MISSING
-    robots: Count = MISSING
+    robots: Processes = MISSING
     updates: Count = MISSING
     batch_size: Count = MISSING
     backbone_lr: NotNegative = MISSING
@@ -240,7 +243,7 @@ class Config:
     seed: int = 0
     precision: Annotated[str, OneOf("bf16", "fp32")] = MISSING
     """``bf16`` or ``fp32``; see :mod:`see2act.experiment.precision`."""
-    threads: Count = 2
+    threads: Processes = 2
     """Of torch. Sums depend on it in the last digits, as they do on the processor; neither is part of the hash."""
     force: bool = False
     collect: CollectConfig = field(default_factory=CollectConfig)
@@ -287,8 +290,10 @@ def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = Fals
             return compose("train", [*overrides], return_hydra_config=return_hydra_config)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from None
-    except ValueError as error:  # Hydra's, of a group that was given something else than the name of an option
-        raise ConfigError(f"{one_line(error)}: name an option of the group, as logger=none") from None
+    except (ValueError, TypeError, AttributeError, LookupError, RecursionError) as error:  # Hydra's, of a list for a group
+        raise ConfigError(
+            f"what is typed cannot be composed ({one_line(error)}): of a group name an option, as logger=none"
+        ) from None
     finally:
         GlobalHydra.instance().hydra = outer
 
@@ -297,6 +302,8 @@ def one_line(error: BaseException) -> str:
     """Hydra's explanation on one line, its tabs and blank lines folded."""
     cause = error.__cause__ if str(error).startswith("Error merging override") and error.__cause__ else None
     told = f"{error}: {cause}" if cause else str(error)
+    if (key := getattr(error, "full_key", None)) and key not in told.split("full_key:")[0]:
+        told = f"{key}: {told}"
     for noise in ("Set the environment variable", "Config search path:", "full_key:"):
         told = told.split(noise)[0]
     text = " ".join(told.split())

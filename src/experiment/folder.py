@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from see2act.errors import ConfigError
 from see2act.experiment.attended import attended
 from see2act.experiment.identity import config_hash, versions
-from see2act.files import read_json, sweep_up, write_json
+from see2act.files import damaged, read_json, sweep_up, write_json
 
 log = logging.getLogger("see2act")
 
@@ -73,9 +73,9 @@ def of_this_version(result: Path) -> bool:
     """Whether the run of a ``result.json`` was made by this code and these packages.
 
     Raises:
-        DamagedFile: It is no JSON.
+        DamagedFile: It is none.
     """
-    return bool(read_json(result).get("versions") == versions())
+    return bool(_record(result).get("versions") == versions())
 
 
 @contextmanager
@@ -116,11 +116,23 @@ def _begun(folder: Path) -> dict[str, Any]:
     """What a folder says of its run. A run that a report kept has no ``run.json``; its result says the same."""
     note, result = folder / "run.json", folder / "result.json"
     if note.exists() or not result.exists():
-        known: dict[str, Any] = read_json(note) if note.exists() else {}
-        return known
-    finished = read_json(result)
+        return _record(note) if note.exists() else {}
+    finished = _record(result)
     return {
         "config_hash": finished.get("config_hash"),
         "seed": finished.get("choices", {}).get("seed"),
         "versions": finished.get("versions"),
     }
+
+
+def _record(path: Path) -> dict[str, Any]:
+    """A ``run.json`` or ``result.json``, as far as this module looks at it.
+
+    Raises:
+        DamagedFile: It is none.
+    """
+    known = read_json(path)
+    kinds = {"versions": dict, "choices": dict, "earlier_versions": list}
+    if not isinstance(known, dict) or not all(isinstance(known.get(key, kind()), kind) for key, kind in kinds.items()):
+        raise damaged(path, ValueError("it is no record of a run"))
+    return known

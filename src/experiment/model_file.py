@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,22 +11,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hydra.errors import HydraException
+import torch
 from hydra.utils import get_class, instantiate
 from jaxtyping import Float, UInt8
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from safetensors.torch import save as serialized
 from torch import Tensor
 
 from see2act.errors import UserError
-from see2act.experiment.identity import MODEL, config_hash, deciding_robot
+from see2act.experiment.identity import MODEL, WORD, config_hash, deciding_robot
 from see2act.files import replacing
 from see2act.modules.affordance import affordances
 from see2act.modules.network import PixelNetwork
 from see2act.modules.rotation import Rotations
+from see2act.robot.end_effector import EndEffector
 
 FILE = MODEL.name
 """Its name among a run's checkpoints."""
@@ -103,7 +104,7 @@ def load(path: Path, primitive: str | None = None) -> TrainedModel:
         raise ModelFileError(f"{path} says nothing of its configuration: give checkpoints/{FILE} of a finished run")
     try:
         model = _model(metadata, state)
-    except (ImportError, LookupError, ValueError, RuntimeError, HydraException, OmegaConfBaseException) as error:
+    except Exception as error:  # a file can say anything of itself
         raise ModelFileError(
             f"{path} holds no model of this version ({' '.join(str(error).split())[:200]}): give checkpoints/{FILE} of a "
             "finished run; for a network of your own, its module must be on PYTHONPATH"
@@ -147,22 +148,28 @@ def _difference(key: str, theirs: Any, ours: Any) -> str | None:
 def _model(metadata: Mapping[str, str], state: dict[str, Tensor]) -> TrainedModel:
     config = OmegaConf.create(json.loads(metadata[CONFIG]))
     assert isinstance(config, DictConfig)
-    network = _built(config.model.network)
+    network: PixelNetwork = instantiate(_harmless(config.model.network, PixelNetwork, "network"))
     network.load_state_dict(state)
+    if not all(bool(torch.isfinite(value).all()) for value in network.state_dict().values()):
+        raise ValueError("it has values that are no finite numbers")
     network.set_precision("fp32")  # exact, and the same on every processor
-    return TrainedModel(network.eval(), config, metadata[HASH])
+    model = TrainedModel(network.eval(), config, metadata[HASH])
+    _harmless(config.primitive.end_effector, EndEffector, "tool")  # a prediction builds it
+    name = config.primitive.name
+    if not (isinstance(name, str) and re.fullmatch(WORD, name) and model.pixel > 0 and config.primitive.angles > 0):
+        raise ValueError("its primitive or its workspace is none")
+    return model
 
 
-def _built(node: DictConfig) -> PixelNetwork:
-    """The network that a file names, and nothing else that a file might want called.
+def _harmless(node: DictConfig, kind: type, word: str) -> DictConfig:
+    """A node that builds a network or a tool, and nothing else that a file might want called.
 
     Raises:
         ValueError: It names something else.
     """
-    if not issubclass(get_class(node._target_), PixelNetwork) or any(OmegaConf.is_config(node[key]) for key in node):
-        raise ValueError(f"{node._target_} is no network that is made of numbers and words")
-    network: PixelNetwork = instantiate(node)
-    return network
+    if not issubclass(get_class(node._target_), kind) or any(OmegaConf.is_config(node[key]) for key in node):
+        raise ValueError(f"{node._target_} is no {word} that is made of numbers and words")
+    return node
 
 
 def _metadata(path: Path) -> Mapping[str, str]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from pathlib import Path
+from pathlib import Path, PurePath
+from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob
@@ -31,17 +32,16 @@ def check_command(overrides: list[str]) -> None:
         )
     cfg = composed_as_typed(overrides, return_hydra_config=True)
     checked = copy.deepcopy(cfg)
-    _leave_unmeasured(checked)
+    leave_unmeasured(checked)
     try:
         validate(checked)
         check_run(checked)
-        _check_writable(Path(checked.paths.cache))
+        _check_writable(checked.paths.cache, "paths.cache")
         OmegaConf.resolve(cfg.hydra.run)  # with the precision in the hash of the configuration
     except OmegaConfBaseException as error:
         raise ConfigError(one_line(error)) from None
-    folder = Path(cfg.hydra.run.dir)
-    _check_writable(folder)
-    refuse_foreign(folder, cfg)
+    _check_writable(cfg.hydra.run.dir, "hydra.run.dir")
+    refuse_foreign(Path(cfg.hydra.run.dir), cfg)
 
 
 def check_sweep(overrides: list[str]) -> None:
@@ -63,23 +63,35 @@ def check_sweep(overrides: list[str]) -> None:
                 others += (
                     values[1:] if override.get_key_element() in Config.__dataclass_fields__ and not override.is_add() else []
                 )
-        cfg = composed_as_typed(first)
-        _leave_unmeasured(cfg)
+        cfg = composed_as_typed(first, return_hydra_config=True)
+        leave_unmeasured(cfg)
         check_schema(cfg, only_keys=True)
-        _check_writable(Path(cfg.paths.cache))
+        _check_writable(cfg.paths.cache, "paths.cache")
+        _check_jobs(cfg.hydra)
         for option in others:
             if OmegaConf.is_config(cfg[option.split("=")[0]]):
                 composed_as_typed([*first, option])
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, RecursionError) as error:
         raise ConfigError(one_line(error)) from None
 
 
-def _leave_unmeasured(cfg: DictConfig) -> None:
-    """No check depends on the precision, and with precision=auto its value may take seconds to measure."""
+def leave_unmeasured(cfg: DictConfig) -> None:
+    """Give ``precision=auto`` a value: no check depends on it, and it may take seconds to measure."""
     if OmegaConf.is_interpolation(cfg, "precision"):
         cfg.precision = "fp32"
 
 
-def _check_writable(folder: Path) -> None:
-    if not writable(folder):
-        raise ConfigError(f"{folder} cannot be written: choose another with hydra.run.dir= or paths.cache=")
+def _check_jobs(hydra: DictConfig) -> None:
+    """Where jobs go, and how many run at once."""
+    _check_writable(hydra.sweep.dir, "hydra.sweep.dir")
+    below = PurePath(str(OmegaConf.to_container(hydra.sweep)["subdir"]))  # type: ignore[index, call-overload]
+    if below.is_absolute() or ".." in below.parts:
+        raise ConfigError(f"hydra.sweep.subdir={below} is not below the folder of the sweep: leave it out")
+    jobs = hydra.launcher.get("n_jobs", 1)
+    if type(jobs) is not int or jobs == 0:
+        raise ConfigError(f"hydra.launcher.n_jobs={jobs} is no number of jobs: give how many run at once, or -1 for all cores")
+
+
+def _check_writable(folder: Any, key: str) -> None:
+    if not str(folder).strip() or not writable(Path(str(folder))):
+        raise ConfigError(f"{key}={folder} cannot be written: choose another folder")

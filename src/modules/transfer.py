@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
+import torch
 from torch import Tensor
 
 from see2act.errors import TransferError
@@ -59,7 +60,8 @@ def copy_parts(
         zero: Like ``optional``, but these are set to zero, so they contribute nothing until they are trained.
 
     Raises:
-        TransferError: A part is missing from the source, its keys or shapes do not fit, or none of its keys would be copied.
+        TransferError: A part is missing from the source, its keys, shapes or types do not fit, it has values that are not
+            finite, or none of its keys would be copied.
     """
     target = network.state_dict()
     report = TransferReport(parts=list(parts))
@@ -82,6 +84,13 @@ def copy_parts(
     return report
 
 
+def _flaw(theirs: Tensor, ours: Tensor) -> str | None:
+    """What makes values useless, whatever their shape."""
+    if theirs.is_floating_point() != ours.is_floating_point():
+        return f"is of {theirs.dtype} there and of {ours.dtype} here".replace("torch.", "")
+    return None if bool(torch.isfinite(theirs.to(ours.dtype)).all()) else "has values that are no finite numbers"
+
+
 def _check(source: Mapping[str, Tensor], target: Mapping[str, Tensor], part: str, optional: tuple[str, ...]) -> None:
     theirs = {key: list(value.shape) for key, value in source.items() if key.split(".")[0] in (part, ALWAYS)}
     ours = {key: list(value.shape) for key, value in target.items() if key.split(".")[0] in (part, ALWAYS)}
@@ -98,3 +107,5 @@ def _check(source: Mapping[str, Tensor], target: Mapping[str, Tensor], part: str
             f"the source's {part} does not fit this network: {'; '.join(problems[:SHOWN])}{more}: "
             "use the model (and model.width) that the source was trained with"
         )
+    if flaws := [f"{key} {flaw}" for key in ours if key in theirs and (flaw := _flaw(source[key], target[key]))]:
+        raise TransferError(f"the source's {part} is of no use: {'; '.join(flaws[:SHOWN])}: bring weights that can be used")

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-import yaml
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from see2act.errors import UserError
+from see2act.prediction.contents import decoded, read, read_image
 
 KNOWN = ("", "none", "plumb_bob", "rational_polynomial", "brown_conrady", "modified_brown_conrady", "opencv")
 """Names of distortion models whose coefficients are OpenCV's, k1 k2 p1 p2 k3 and so on."""
@@ -24,6 +23,9 @@ POSES = ("camera_to_world", "pose", "matrix", "transform")
 TRANSLATIONS = ("translation", "position", "t")
 ROTATIONS = ("rotation", "orientation", "quaternion", "r", "q")
 """Keys under which calibration files have these things, in lower case."""
+MOST = 1000
+"""Numbers that are read of a calibration: more are something else."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def read_lens(given: str) -> Lens:
         except ValueError:
             raise UserError(f"--intrinsics {given} is neither a file nor fx,fy,cx,cy in pixels") from None
     path = there(Path(given), "--intrinsics")
-    return _lens(_content(path), str(path))
+    return _parsed(_lens, path)
 
 
 def read_pose(path: Path) -> Float[np.ndarray, "4 4"]:
@@ -82,7 +84,7 @@ def read_pose(path: Path) -> Float[np.ndarray, "4 4"]:
     Raises:
         UserError: It is none of these.
     """
-    return _pose(_content(there(path, "--pose")), str(path))
+    return _parsed(_pose, there(path, "--pose"))
 
 
 def read_depth(path: Path, scale: float | None, option: str) -> Float[np.ndarray, "h w"]:
@@ -97,7 +99,7 @@ def read_depth(path: Path, scale: float | None, option: str) -> Float[np.ndarray
         UserError: It is none of these, or holds whole numbers and there is no scale.
     """
     there(path, option)
-    depth = _image(path)
+    depth = read_image(path)
     if not isinstance(depth, np.ndarray) or depth.ndim != 2 or depth.dtype.kind not in "iuf" or depth.dtype == np.uint8:
         shape = f"{depth.dtype} of shape {depth.shape}" if isinstance(depth, np.ndarray) else "no image"
         raise UserError(f"{path} is {shape}: depth must be a 16-bit PNG of one channel, or a .npy, TIFF or EXR of one")
@@ -113,7 +115,7 @@ def read_color(path: Path) -> UInt8[np.ndarray, "h w 3"]:
         UserError: It cannot be read.
     """
     # A camera's note of how it was held turns the colour image and not the depth.
-    color = cv2.imread(str(there(path, "--color")), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    color = decoded(there(path, "--color"), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if color is None:
         raise UserError(f"{path} cannot be read as an image: give a PNG or JPEG")
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_BGR2RGB))
@@ -141,9 +143,11 @@ def _lens(content: Any, name: str) -> Lens:
         values = found["fx"], found["fy"], found.get("cx", found.get("ppx")), found.get("cy", found.get("ppy"))
         matrix = _pinhole(values, name)
     elif key := next((key for key in MATRICES if key in found), None):
-        if isinstance(found[key], Mapping) and not {"data", "fx"} & found[key].keys():
-            return _lens(found[key], name)
-        matrix = _lens(found[key], name).matrix if "fx" in found[key] else _pinhole(_data(found[key]), name)
+        inner = found[key]
+        if isinstance(inner, Mapping) and not {"data", "fx"} & inner.keys():
+            return _lens(inner, name)
+        known = isinstance(inner, Mapping) and "fx" in inner
+        matrix = _lens(inner, name).matrix if known else _pinhole(_data(inner), name)
     else:
         return _lens(_only_part(found, name, ("color", "rgb")), name)
     return Lens(matrix, _distortion(found, name), _size(found))
@@ -231,52 +235,20 @@ def _ordered(value: Any, keys: str) -> Any:
     return value
 
 
-# Contents
+# Numbers
 
 
-def _content(path: Path) -> Any:
-    """Nested lists, dictionaries or an array."""
+def _parsed(parse: Callable[[Any, str], T], path: Path) -> T:
+    """What is in a file, unless it is nested without end, as YAML can be."""
     try:
-        if path.suffix == ".npy":
-            return np.load(path, allow_pickle=False)
-        text = path.read_text(encoding="utf-8-sig")
-        if path.suffix == ".json":
-            return json.loads(text)
-        if path.suffix in (".yaml", ".yml"):
-            return yaml.load(text.removeprefix("%YAML:1.0"), _Yaml)
-        lines = [line for line in text.replace(",", " ").splitlines() if line.split("#")[0].strip()]
-        return np.loadtxt(lines, ndmin=2) if lines else np.empty(0)
-    except (OSError, EOFError, ValueError, yaml.YAMLError) as error:
-        raise UserError(f"{path} cannot be read ({' '.join(str(error).split())}): write a row of numbers a line") from None
-
-
-class _Yaml(yaml.SafeLoader):
-    """YAML as OpenCV and ROS write it."""
-
-
-_Yaml.add_constructor("tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True))
-
-
-def _image(path: Path) -> Any:
-    try:
-        if path.suffix == ".npy":
-            return np.load(path, allow_pickle=False)
-        return _exr(path) if path.suffix.lower() == ".exr" else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except (OSError, EOFError, ValueError, RuntimeError) as error:
-        raise UserError(f"{path} cannot be read ({' '.join(str(error).split())}): save it anew as .npy or 16-bit PNG") from None
-
-
-def _exr(path: Path) -> np.ndarray:
-    """Its first channel, such as Blender's depth."""
-    try:
-        import OpenEXR
-    except ImportError:
-        raise UserError(f"{path} needs the package OpenEXR: pip install 'see2act[exr]', or save the depth as .npy") from None
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        return np.asarray(next(iter(file.channels().values())).pixels)
+        return parse(read(path), str(path))
+    except RecursionError:
+        raise UserError(f"{path} is nested too deeply: see docs/guides/images.md for the formats of calibrations") from None
 
 
 def _numbers(values: Any, name: str) -> Float[np.ndarray, "*n"]:
+    if not _are_few(values):
+        raise UserError(f"{name} holds more than {MOST} numbers where a matrix is expected")
     try:
         numbers = np.array(values, dtype=float)
     except (TypeError, ValueError):
@@ -284,6 +256,16 @@ def _numbers(values: Any, name: str) -> Float[np.ndarray, "*n"]:
     if not np.isfinite(numbers).all():
         raise UserError(f"{name} holds something else than numbers where a matrix is expected")
     return numbers
+
+
+def _are_few(values: Any) -> bool:
+    """Whether nested lists hold no more than ``MOST`` values. A list of YAML may hold itself."""
+    left, count = [values], 0
+    while left and count <= MOST:
+        item = left.pop()
+        count += 1
+        left += item[: MOST + 1] if isinstance(item, list) else []
+    return count <= MOST
 
 
 def _data(value: Any) -> Any:

@@ -30,6 +30,10 @@ LARGEST = 4e5
 """Pixels of the largest heightmap: 1.6 m by 1.6 m at 2.5 mm."""
 
 
+LONGEST = 100
+"""Focal length at most, in sides of the image: a telescope's."""
+
+
 @dataclass(frozen=True)
 class PosedImage:
     """An image in a frame that has its origin on the floor, in the middle of the bounds."""
@@ -100,11 +104,14 @@ def look(
         ImageError: Sizes, units, matrices or bounds make no sense, or no floor is seen.
     """
     if bounds is not None:
+        bounds = _four(bounds)
         _check_bounds(bounds, pixel)
-    if floor is not None and not math.isfinite(floor):
+    if floor is not None and not np.isfinite(_numbers(floor, (), "floor", "its z in metres")):
         raise ImageError(f"the floor {floor} is no number: give its z in metres")
     depth = _metres(depth, color, "depth")
     background = None if background is None else _metres(background, color, "background depth")
+    intrinsics = _numbers(intrinsics, (3, 3), "intrinsics", "a 3 x 3 pinhole matrix in pixels")
+    pose = None if pose is None else _numbers(pose, (4, 4), "pose", "a 4 x 4 matrix, camera to world")
     _check_matrices(intrinsics, pose, color.shape)
     depth = without_flying_pixels(depth, intrinsics)
     read, depth = depth > 0, with_small_holes_filled(depth, intrinsics)
@@ -180,8 +187,10 @@ def _floor(points: Float[np.ndarray, "n 3"], known_pose: bool, given: float | No
 
 
 def _metres(depth: np.ndarray, color: np.ndarray, name: str) -> Float[np.ndarray, "h w"]:
-    if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
-        raise ImageError(f"the colour image is {color.dtype} of shape {color.shape}: give 8-bit RGB, (rows, columns, 3)")
+    if not isinstance(color, np.ndarray) or color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
+        raise ImageError(f"the colour image is {_described(color)}: give 8-bit RGB, (rows, columns, 3)")
+    if not isinstance(depth, np.ndarray) or depth.ndim < 2 or depth.dtype.kind not in "iuf":
+        raise ImageError(f"the {name} image is {_described(depth)}: give metres, (rows, columns)")
     if depth.shape != color.shape[:2]:
         sizes = " and ".join(f"{n[1]} x {n[0]}" for n in (color.shape, depth.shape[:2]))
         raise ImageError(f"colour and {name} have different sizes, {sizes}: register the depth to the colour camera")
@@ -198,12 +207,35 @@ def _metres(depth: np.ndarray, color: np.ndarray, name: str) -> Float[np.ndarray
     return metres
 
 
+def _described(image: object) -> str:
+    return f"{image.dtype} of shape {image.shape}" if isinstance(image, np.ndarray) else f"a {type(image).__name__}"
+
+
+def _numbers(given: object, shape: tuple[int, ...], name: str, what: str) -> Float[np.ndarray, "..."]:
+    """What was given, as numbers.
+
+    Raises:
+        ImageError: It is of another shape, or no real numbers.
+    """
+    try:
+        array = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        array = np.empty(0)
+    if array.shape != shape or array.dtype.kind not in "iuf":
+        raise ImageError(f"the {name} is of shape {array.shape} and type {array.dtype}: give {what}")
+    return array.astype(float)
+
+
+def _four(bounds: object) -> tuple[float, float, float, float]:
+    low_x, low_y, high_x, high_y = _numbers(bounds, (4,), "bounds", "smallest x, smallest y, largest x, largest y").tolist()
+    return low_x, low_y, high_x, high_y
+
+
 def _check_matrices(intrinsics: np.ndarray, pose: np.ndarray | None, shape: tuple[int, ...]) -> None:
-    k = np.asarray(intrinsics, float)
+    k = intrinsics
     if (
-        np.shape(k) != (3, 3)
-        or not np.isfinite(k).all()
-        or min(k[0, 0], k[1, 1]) <= 0
+        not np.isfinite(k).all()
+        or not (0 < min(k[0, 0], k[1, 1]) <= max(k[0, 0], k[1, 1]) < LONGEST * max(shape))
         or not (k[2] == (0, 0, 1)).all()
         or k[0, 1]
         or k[1, 0]
@@ -216,8 +248,7 @@ def _check_matrices(intrinsics: np.ndarray, pose: np.ndarray | None, shape: tupl
         )
     if pose is None:
         return
-    pose = np.asarray(pose, float)
-    rotation = pose[:3, :3] if np.shape(pose) == (4, 4) else np.zeros((3, 3))
+    rotation = pose[:3, :3]
     if not np.isfinite(pose).all() or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
         raise ImageError(
             "the pose must be a 4 x 4 matrix, camera to world, with a rotation in its first three rows and columns"

@@ -133,6 +133,9 @@ def predict(
         >>> best.position_camera, best.score  # doctest: +SKIP
     """
     model = checkpoint if isinstance(checkpoint, TrainedModel) else load(Path(checkpoint))
+    for name, value in (("count", count), ("apart", apart), ("per_object", 1 if per_object is None else per_object)):
+        if not isinstance(value, int | float) or not 0 < value < 1e9:
+            raise ImageError(f"{name} is {value}: give a number above 0 and below 1e9")
     view = look(color, depth, background_depth, intrinsics, pose, bounds, floor, model.pixel)
     cells = highest(view.points, view.depth > 0, view.workspace)
     if not len(cells[0]):

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from ur_analytic_ik import ur5
 
 from see2act.robot.simulation import TIMESTEP, Simulation
-from see2act.robot.types import RobotError
+from see2act.robot.types import RobotError, is_triple
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 EFFORT = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
@@ -38,7 +38,7 @@ class ArmConfig:
         tool_speed: Speed of the tool on straight lines, m/s.
 
     Raises:
-        RobotError: A speed is not above 0.
+        RobotError: A speed is not above 0, or a position is not three numbers.
     """
 
     base: tuple[float, float, float]
@@ -47,6 +47,10 @@ class ArmConfig:
     tool_speed: float
 
     def __post_init__(self) -> None:
+        for name in ("base", "home"):
+            position = getattr(self, name)
+            if not is_triple(position):
+                raise RobotError(f"robot.arm.{name}={position} is no place: give [x,y,z] in metres")
         if not min(self.joint_speed, self.tool_speed) > 0:
             raise RobotError(
                 f"robot.arm.joint_speed={self.joint_speed} and robot.arm.tool_speed={self.tool_speed} must be above 0"

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from see2act.robot.randomization import Light, Randomization
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import NotNegative, RobotError
+from see2act.robot.types import NotNegative, Positive, RobotError, is_triple
 
 NEAR, FAR = 0.1, 3.0
 """Clipping planes, metres."""
+LARGEST = 8192
+"""Pixels of the longer side of an image."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,10 @@ class DepthNoise:
         transparent_rate: Probability that a pixel on a transparent object has no reading; otherwise it reads the floor behind.
     """
 
-    baseline: NotNegative = 0.055
-    focal: NotNegative = 930.0
+    baseline: Positive = 0.055
+    focal: Positive = 930.0
     sigma: NotNegative = 0.08
-    step: NotNegative = 1 / 32
+    step: Positive = 1 / 32
     blur: NotNegative = 1.0
     edge_loss: NotNegative = 0.02
     edge_rate: NotNegative = 0.5
@@ -110,16 +112,14 @@ class Camera:
     depth_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        if min(self.width, self.height) < 1 or self.focal <= 0:
+        if not (1 <= min(self.width, self.height) <= max(self.width, self.height) <= LARGEST and self.focal > 0):
             raise RobotError(
                 f"camera.width={self.width}, camera.height={self.height} and camera.focal={self.focal}: give at least 1 pixel "
-                "each, and a focal length above 0"
+                f"each, {LARGEST} at most, and a focal length above 0"
             )
-        try:
-            with np.errstate(invalid="ignore"):
-                looks = bool(np.isfinite(self.pose).all())
-        except (TypeError, ValueError):
-            looks = False
+        with np.errstate(invalid="ignore"):
+            known = all(map(is_triple, (self.position, self.target, self.up)))
+            looks = known and bool(np.isfinite(self.pose).all())
         if not looks:
             raise RobotError(
                 f"camera.position={self.position}, camera.target={self.target} and camera.up={self.up} give no view: each must "

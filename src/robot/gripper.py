@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import deque
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 
 from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause, NotNegative
+from see2act.robot.types import Cause, Limit, NotNegative
 
 DRIVER = "gripper_finger_joint"
 FOLLOWERS = {
@@ -62,10 +64,10 @@ class Gripper(EndEffector):
         depth: float,
         torque: NotNegative,
         speed: NotNegative,
-        close_steps: int,
+        close_steps: Annotated[int, Ge(1)],
         threshold: NotNegative,
         friction: NotNegative,
-        contact_limit: NotNegative,
+        contact_limit: Limit,
         size: NotNegative = 1.0,
     ):
         self.depth = depth

@@ -17,6 +17,8 @@ from see2act.robot.types import RobotError, Split
 
 TILE = 0.03
 """Side of the square that one tile of a texture covers, metres."""
+MOST = 1000
+"""Objects in a scene."""
 GRIPPER_OPENING = 0.080
 """Opening of the 2F-85 (0.086 m) minus a margin for placement errors, metres."""
 
@@ -101,6 +103,10 @@ class ObjectSet:
             raise RobotError(f"objects.density={self.density} must be above 0: it is in kg/m^3")
         if min(self.kinds, self.copies) < 1:
             raise RobotError(f"objects.kinds={self.kinds} and objects.copies={self.copies} must be at least 1")
+        if self.kinds * self.copies > MOST:
+            raise RobotError(
+                f"objects.kinds={self.kinds} and objects.copies={self.copies} are more objects than a bin holds: {MOST} at most"
+            )
         for split in ("seen", "unseen"):
             names = getattr(self, split)
             if len(names) < self.kinds:

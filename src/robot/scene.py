@@ -5,9 +5,11 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
+from annotated_types import Ge
 
 from see2act.robot.floors import floor_picture
 from see2act.robot.layouts import Layout, Placed, Refusal
@@ -68,8 +70,8 @@ class BinConfig:
     margin: NotNegative
     drop_height: NotNegative
     touching: NotNegative
-    settle_steps: int
-    rest_steps: int
+    settle_steps: Annotated[int, Ge(1)]
+    rest_steps: Annotated[int, Ge(1)]
     floor: str = "plain"
     distractors: int = 0
 

@@ -16,14 +16,18 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     """Read a mesh file (STL, OBJ, ...).
 
     Raises:
-        RobotError: The file does not exist, cannot be read, or has no volume.
+        RobotError: The file does not exist, cannot be read, has vertices that are not finite, or has no volume.
     """
     if not path.is_file():
         raise RobotError(f"object file {path} does not exist: run `make install`, or check the path")
     try:
-        mesh = trimesh.load_mesh(path)
+        mesh = trimesh.load_mesh(path, process=False)
+        whole = bool(np.isfinite(mesh.vertices).all())
+        mesh.process()  # would drop vertices that are no numbers, and the faces between them
     except Exception as error:  # trimesh passes on whatever its many readers raise
         raise RobotError(f"object file {path} is no mesh that trimesh can read: {error}") from None
+    if not whole:
+        raise RobotError(f"object file {path} has vertices that are no finite numbers: export it again")
     try:
         volume = mesh.convex_hull.volume
     except (QhullError, ValueError):  # fewer than four points, or all of them in a plane

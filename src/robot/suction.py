@@ -10,7 +10,7 @@ from see2act.robot import urdf
 from see2act.robot.arm import Arm
 from see2act.robot.end_effector import EndEffector
 from see2act.robot.simulation import Simulation
-from see2act.robot.types import Cause, NotNegative
+from see2act.robot.types import Cause, Limit, NotNegative
 
 RIM_RAYS = 16
 """Rays from the rim that check the seal."""
@@ -61,7 +61,7 @@ class SuctionCup(EndEffector):
         open_pressure: NotNegative,
         threshold: NotNegative,
         peel: NotNegative,
-        contact_limit: NotNegative,
+        contact_limit: Limit,
     ):
         self._holder_length, self._holder_radius = holder_length, holder_radius
         self._cup_length, self.cup_radius = cup_length, cup_radius

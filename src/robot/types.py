@@ -6,14 +6,19 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int, UInt8
+from pydantic import Field
 
 from see2act.errors import UserError
 
 Split = Literal["seen", "unseen"]
 NotNegative = Annotated[float, Ge(0)]
 """A length, time, force or similar quantity in the configuration."""
+Positive = Annotated[float, Gt(0)]
+"""The same, where 0 has no meaning."""
+Limit = Annotated[float, Field(ge=0, allow_inf_nan=True)]
+"""A limit in the configuration; infinite where there is none."""
 Cause = Literal["ok", "missed", "collision", "slipped", "no_seal", "wall", "unreachable", "protective_stop", "dry_run"]
 """Why an attempt failed, or ``ok``. The last two are of a real robot only."""
 ABORTED: tuple[Cause, ...] = ("protective_stop", "dry_run")
@@ -22,6 +27,15 @@ ABORTED: tuple[Cause, ...] = ("protective_stop", "dry_run")
 
 class RobotError(UserError, ValueError):
     """The robot cannot do what the user asked for. The message says how to fix it."""
+
+
+def is_triple(value: object) -> bool:
+    """Whether something from a configuration is three finite numbers, such as a position."""
+    try:
+        numbers = np.asarray(value)
+    except ValueError:  # lists of different lengths
+        return False
+    return numbers.shape == (3,) and numbers.dtype.kind in "iuf" and bool(np.isfinite(numbers).all())
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -10,6 +11,8 @@ import numpy as np
 from see2act.robot.types import Heightmap, Pick, RobotError
 
 Pixels = TypeVar("Pixels", float, np.ndarray)
+LARGEST = 10**6
+"""Pixels of the largest heightmap."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class Workspace:
         robot_x: World x of the robot's base, chosen so that the whole rectangle is within reach, metres.
 
     Raises:
-        RobotError: A length is not above 0, or an extent is not a whole number of pixels.
+        RobotError: A length is not above 0, an extent is not a whole number of pixels, or there are more than ``LARGEST``.
     """
 
     name: str
@@ -34,7 +37,7 @@ class Workspace:
     robot_x: float = -0.45
 
     def __post_init__(self) -> None:
-        if min(self.width, self.length, self.pixel) <= 0:
+        if not (self.pixel > 0 and 0 < min(self.width, self.length) <= max(self.width, self.length) < math.inf):
             raise RobotError(f"workspace.width, length and pixel must be positive metres, got {self}")
         for key in ("width", "length"):
             metres = getattr(self, key)
@@ -43,6 +46,11 @@ class Workspace:
                 raise RobotError(
                     f"workspace.{key}={metres} is {count:.2f} pixels of {self.pixel} m: give {round(count) * self.pixel:.6g}"
                 )
+        if math.prod(self.shape) > LARGEST:
+            raise RobotError(
+                f"workspace.width={self.width}, length={self.length} and pixel={self.pixel} give {self.shape[0]} x "
+                f"{self.shape[1]} pixels, more than {LARGEST}: give a larger workspace.pixel"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:

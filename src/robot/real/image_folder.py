@@ -246,8 +246,12 @@ def _counts(path: Path) -> np.ndarray:
 def _metres(path: Path) -> np.ndarray:
     try:
         depth = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
-    except (ValueError, EOFError):
+    except FileNotFoundError:
+        raise
+    except Exception:  # numpy parses the head of a file as Python, and unpacks an archive
         raise _CutShort(f"{path} is cut short, or no array") from None
+    if not isinstance(depth, np.ndarray):
+        raise CameraError(f"{path} must be one array (found an archive of several): write it with numpy.save")
     if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
         raise CameraError(f"{path} must be an array of rows and columns of floats (found {depth.dtype}, shape {depth.shape})")
     return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)

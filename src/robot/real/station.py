@@ -300,9 +300,11 @@ def load(path: Path) -> Station:
     from ruamel.yaml import YAMLError
 
     try:
-        return Station.model_validate(yaml.load(path))
-    except YAMLError as error:
+        content = yaml.load(path)
+    except (YAMLError, ValueError, RecursionError) as error:
         raise RobotError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+    try:
+        return Station.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the file"

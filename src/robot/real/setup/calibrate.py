@@ -90,8 +90,9 @@ class Recording:
                 board = Board(int(columns), int(rows), float(square))
                 cols, height = (int(side) for side in arrays["size"])
                 return cls(views, arrays["intrinsics"], str(arrays["serial"]), (cols, height), board)
-        except (OSError, ValueError, KeyError) as error:
-            raise RobotError(f"{path} holds no views of a calibration ({error}): give a file that calibrate wrote") from None
+        except Exception as error:  # zipfile, zlib and numpy each have their own
+            reason = " ".join(str(error).split())[:160] or type(error).__name__
+            raise RobotError(f"{path} holds no views of a calibration ({reason}): give a file that calibrate wrote") from None
 
 
 def record(
