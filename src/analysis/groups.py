@@ -126,7 +126,8 @@ def find(folder: Path) -> Found:
     comparisons = _comparisons(_once_each(held.runs, notices), notices)
     if held.unfinished:
         notices.append(f"{_count(len(held.unfinished), 'run')} not finished and not counted: see the list below.")
-    return Found(comparisons, held.unfinished, held.broken, notices)
+    lines = [" ".join(notice.splitlines()) for notice in notices]  # whatever the files and folders have in them
+    return Found(comparisons, held.unfinished, held.broken, lines)
 
 
 def _once_each(runs: list[Run], notices: list[str]) -> list[list[Run]]:

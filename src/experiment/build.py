@@ -105,7 +105,9 @@ def fit(trainer: L.Trainer, module: L.LightningModule, data: L.LightningDataModu
         trainer.fit(module, datamodule=data, **more)
     except SystemExit:  # so Lightning ends the program on Ctrl-C, without a word
         raise KeyboardInterrupt from None
-    if trainer.interrupted:  # Lightning says nothing else of a SIGTERM
+    if (
+        trainer.interrupted or trainer.received_sigterm
+    ):  # Lightning says nothing else of a SIGTERM, or of one after the last step
         raise KeyboardInterrupt
 
 

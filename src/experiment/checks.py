@@ -70,6 +70,7 @@ def validate(cfg: DictConfig) -> None:
     _check_names(cfg)
     _check_robots(cfg)
     _check_model(cfg)
+    check_arguments(cfg.workspace, "workspace")  # which the next two compute with
     _check_footprint(cfg)
     _check_lengths(cfg)
     _check_vision(cfg)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -59,14 +61,25 @@ def _run(cfg: DictConfig, folder: Path) -> RunResult:
 
     quiet()
     torch.set_num_threads(cfg.threads)
-    # As Ctrl-C does. Lightning would wait for the next learning step, which an evaluation keeps waiting.
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
     check_weights(cfg)
     claim(folder, cfg)  # only now: a refused run must not keep the folder to itself
-    result = run(cfg, folder)
+    with _sigterm_interrupts():
+        result = run(cfg, folder)
     _print(result, folder)
     return result
+
+
+@contextmanager
+def _sigterm_interrupts() -> Iterator[None]:
+    """As Ctrl-C does. Lightning would wait for the next learning step, which an evaluation keeps waiting."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)  # while Python ends, an interrupt would be a traceback
 
 
 def _print(result: RunResult, folder: Path) -> None:

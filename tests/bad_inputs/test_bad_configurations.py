@@ -103,6 +103,7 @@ def _of(keys: dict[str, Kind]) -> st.SearchStrategy[str]:
 @examples(12)
 @example(override="finetune.temperature=nan")
 @example(override="camera.noise.step=0")
+@example(override="workspace.width=[]")
 @example(override="robot.bin.settle_steps=-1")
 @example(override="primitive.angles=99999999999")
 @example(override="collect.interactions=99999999999")

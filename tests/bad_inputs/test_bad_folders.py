@@ -178,6 +178,7 @@ def test_a_file_of_something_else_is_no_result(content: Any, name: str, good: Pa
 @example(data=None, value={"a": "${"}, name=".hydra/config.yaml")
 @example(data=None, value={"primitive": None}, name=".hydra/config.yaml")
 @example(data=None, value={"conditions": 5}, name=".hydra/config.yaml")
+@example(data=None, value={"model": {"": "a\rb"}}, name=".hydra/config.yaml")
 @example(data=None, value={"conditions": "["}, name=".hydra/config.yaml")
 @example(data=None, value={"conditions": ["suction"]}, name=".hydra/config.yaml")
 def test_configuration_of_other_types_does_not_end_a_report(

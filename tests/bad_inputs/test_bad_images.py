@@ -277,7 +277,8 @@ def test_damage_of_a_file_is_refused_or_does_no_harm(name: str, data: st.DataObj
 def test_a_file_that_was_cut_short_is_refused(name: str, share: float, files: dict[str, bytes]) -> None:
     with scratch() as folder:
         (folder / name).write_bytes(files[name][: int(share * len(files[name]))])
-        is_refused(lambda: _reader(name)(folder / name), folder)
+        check = is_refused_or_done if name.endswith(".yaml") else is_refused  # whose first half may be whole by itself
+        check(lambda: _reader(name)(folder / name), folder)
 
 
 @pytest.mark.parametrize("name", NAMES)
