@@ -80,7 +80,7 @@ def test_train_refuses_what_it_does_not_know(
 
 
 @given(words=st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9), min_size=1, max_size=3))
-@examples(15)
+@examples(8)
 @example(words=["--"])
 @example(words=["predictt"])
 @example(words=["../train"])
@@ -170,7 +170,7 @@ OVERRIDES = [
     b"[[a]]",
     b"- nonsense=1",
     b"- task",
-    b"[" * 10_000,
+    b"[" * 2000,
     b"\xff",
     b"- 'seed=x'",
 ]
@@ -266,7 +266,7 @@ def _loaded(content: bytes, folder: Path) -> Callable[[], object]:
 
 
 @given(data=st.data())
-@examples(30)
+@examples(15)
 def test_damage_of_a_station_is_refused_or_does_no_harm(data: st.DataObject, station: bytes) -> None:
     with scratch() as folder:
         is_refused_or_done(_loaded(data.draw(damaged(station)), folder), folder)
@@ -282,7 +282,7 @@ VALUES = st.recursive(
 @given(
     section=st.sampled_from(["robot", "tool", "bin", "background", "calibration", "touch", "a"]), data=st.data(), value=VALUES
 )
-@examples(40)
+@examples(20)
 @example(section="bin", data=None, value=[[0, 0, 0]] * 3)
 @example(section="bin", data=None, value=[[float("nan")] * 3] * 3)
 @example(section="tool", data=None, value={"kind": "hook"})
@@ -301,9 +301,9 @@ def test_a_station_of_other_values_is_refused_or_harmless(
 
 
 @given(content=st.binary(max_size=80))
-@examples(15)
+@examples(5)
 @example(content=b"")
-@example(content=b"[" * 10_000)
+@example(content=b"[" * 2000)
 @example(content=b"a: &a [*a]")
 @example(content=b"robot: !!python/object/apply:os.getcwd []")
 @example(content=b"\xff\xfe\x00")

@@ -95,7 +95,7 @@ def _told(folder: Path) -> Found:
 
 
 @given(name=st.sampled_from(FILES), data=st.data())
-@examples(60)
+@examples(20)
 @example(name=".hydra/config.yaml", data=None)
 @example(name=".hydra/overrides.yaml", data=None)
 @example(name="attempts.csv", data=None)
@@ -103,13 +103,13 @@ def test_a_report_goes_on_whatever_is_damaged(name: str, data: st.DataObject | N
     content = (good / "seed1" / name).read_bytes()
     with scratch() as folder:
         shutil.copytree(good, folder, dirs_exist_ok=True)
-        (folder / "seed1" / name).write_bytes(data.draw(damaged(content)) if data else b"[" * 10_000)
+        (folder / "seed1" / name).write_bytes(data.draw(damaged(content)) if data else b"[" * 2000)
         found = _told(folder)
         assert any(run.folder.name == "seed0" for run in found.runs)
 
 
 @given(name=st.sampled_from(FILES), share=st.floats(0, 0.99))
-@examples(25)
+@examples(12)
 def test_a_report_names_what_was_cut_short(name: str, share: float, good: Path) -> None:
     content = (good / "seed1" / name).read_bytes()
     cut = content[: int(share * len(content))]
@@ -145,7 +145,7 @@ def _put(node: Any, path: tuple[Any, ...], value: Any) -> None:
 
 
 @given(data=st.data(), value=VALUES)
-@examples(80)
+@examples(25)
 def test_a_result_of_other_types_is_left_out_or_harmless(data: st.DataObject, value: Any, good: Path) -> None:
     result = json.loads((good / "seed1" / "result.json").read_text())
     _put(result, data.draw(st.sampled_from([*_places(result)])), value)
@@ -158,7 +158,7 @@ def test_a_result_of_other_types_is_left_out_or_harmless(data: st.DataObject, va
 
 
 @given(content=VALUES, name=st.sampled_from(["result.json", "run.json"]))
-@examples(25)
+@examples(10)
 def test_a_file_of_something_else_is_no_result(content: Any, name: str, good: Path) -> None:
     with scratch() as folder:
         shutil.copytree(good, folder, dirs_exist_ok=True)
@@ -168,7 +168,7 @@ def test_a_file_of_something_else_is_no_result(content: Any, name: str, good: Pa
 
 
 @given(data=st.data(), value=VALUES, name=st.sampled_from([".hydra/config.yaml", ".hydra/overrides.yaml"]))
-@examples(50)
+@examples(15)
 @example(data=None, value={}, name=".hydra/config.yaml")
 @example(data=None, value="word", name=".hydra/overrides.yaml")
 @example(data=None, value={"a": 1}, name=".hydra/overrides.yaml")
@@ -199,7 +199,7 @@ CELLS = st.one_of(st.text(max_size=5), st.sampled_from(["", "nan", "inf", "-1", 
 
 
 @given(column=st.sampled_from(COLUMNS), row=st.integers(0, 39), cell=CELLS, packed=st.booleans())
-@examples(40)
+@examples(15)
 def test_attempts_with_other_cells_are_left_out_or_harmless(column: str, row: int, cell: str, packed: bool, good: Path) -> None:
     with (good / "seed1" / "attempts.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -219,7 +219,7 @@ def test_attempts_with_other_cells_are_left_out_or_harmless(column: str, row: in
 
 
 @given(content=st.binary(max_size=60), packed=st.booleans(), finished=st.booleans())
-@examples(30)
+@examples(10)
 @example(content=b"\x1f\x8b\x08", packed=True, finished=False)
 @example(content=b"a" * 200_000, packed=False, finished=True)
 def test_attempts_of_whatever_bytes_do_not_end_a_report(content: bytes, packed: bool, finished: bool, good: Path) -> None:
@@ -278,7 +278,7 @@ def _resumed(folder: Path, cfg: DictConfig) -> None:
 
 
 @given(name=st.sampled_from(["run.json", "progress.json", "attempts.csv"]), data=st.data())
-@examples(60)
+@examples(20)
 def test_a_run_goes_on_or_says_what_is_damaged(name: str, data: st.DataObject, begun: Path, cfg: DictConfig) -> None:
     content = (begun / name).read_bytes()
     with scratch() as folder:
@@ -288,7 +288,7 @@ def test_a_run_goes_on_or_says_what_is_damaged(name: str, data: st.DataObject, b
 
 
 @given(name=st.sampled_from(["run.json", "progress.json"]), data=st.data(), value=VALUES)
-@examples(60)
+@examples(20)
 @example(name="run.json", data=None, value=[])
 @example(name="run.json", data=None, value={"versions": 3})
 @example(name="run.json", data=None, value={"earlier_versions": {}})
@@ -327,7 +327,7 @@ CACHED: dict[str, Callable[[Path], object]] = {
 
 
 @given(name=st.sampled_from(sorted(CACHED)), data=st.data(), value=VALUES)
-@examples(60)
+@examples(25)
 def test_a_file_of_the_cache_is_read_or_called_damaged(
     name: str, data: st.DataObject, value: Any, kept: dict[str, Any]
 ) -> None:
@@ -362,7 +362,7 @@ def test_a_report_that_cannot_be_written_says_so(name: str, runs: Path) -> None:
 
 
 @given(data=st.data())
-@examples(2)
+@examples(1)
 def test_a_whole_report_is_written_beside_damage(data: st.DataObject, good: Path) -> None:
     with scratch() as folder:
         shutil.copytree(good, folder, dirs_exist_ok=True)

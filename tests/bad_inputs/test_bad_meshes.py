@@ -62,7 +62,7 @@ def _in_a_folder(content: bytes, ending: str) -> None:
 
 
 @given(content=st.binary(max_size=200), ending=ENDINGS)
-@examples(30)
+@examples(15)
 @example(content=b"", ending=".obj")
 @example(content=b"", ending=".stl")
 @example(content=b"solid nothing\nendsolid", ending=".stl")
@@ -97,14 +97,14 @@ SHAPES: dict[str, Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarra
 
 @pytest.mark.parametrize("shape", SHAPES)
 @given(ending=ENDINGS, turn=st.permutations([0, 1, 2]))
-@examples(2)
+@examples(1)
 def test_shapes_that_cannot_be_picked_are_refused(shape: str, ending: str, turn: list[int]) -> None:
     vertices, faces = SHAPES[shape](VERTICES, FACES)
     _in_a_folder(WRITERS[ending](vertices[:, turn], faces), ending)
 
 
 @given(numbers=st.lists(st.integers(-20, 20), min_size=3, max_size=3), count=st.integers(1, 12))
-@examples(20)
+@examples(10)
 @example(numbers=[10**9, 2, 3], count=12)
 @example(numbers=[-(10**9), 2, 3], count=1)
 @example(numbers=[0, 0, 0], count=12)
@@ -116,7 +116,7 @@ def test_faces_of_vertices_that_are_not_there_are_refused_or_left_out(numbers: l
 
 
 @given(content=st.sampled_from([GOOD, _stl(VERTICES, FACES), BOX.export(file_type="stl_ascii").encode()]), data=st.data())
-@examples(40)
+@examples(20)
 def test_damage_is_refused_or_does_no_harm(content: bytes, data: st.DataObject) -> None:
     with scratch() as folder:
         file = folder / ("bad.obj" if content == GOOD else "bad.stl")
@@ -125,7 +125,7 @@ def test_damage_is_refused_or_does_no_harm(content: bytes, data: st.DataObject) 
 
 
 @given(content=st.sampled_from([GOOD, _stl(VERTICES, FACES)]), share=st.floats(0, 0.4))
-@examples(15)
+@examples(8)
 def test_a_file_that_was_cut_short_is_refused(content: bytes, share: float) -> None:
     _in_a_folder(content[: int(share * len(content))], ".obj" if content == GOOD else ".stl")
 
@@ -185,7 +185,7 @@ NUMBERS = st.sampled_from([float("nan"), float("inf"), -1.0, 0.0, 1e30])
 
 
 @given(key=st.sampled_from(["unit", "held_out", "width", "density", "opening", "scale", "kinds", "copies"]), value=NUMBERS)
-@examples(15)
+@examples(6)
 @example(key="held_out", value=float("nan"))
 @example(key="held_out", value=-1.0)
 @example(key="held_out", value=2.0)

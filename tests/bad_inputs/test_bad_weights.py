@@ -87,7 +87,7 @@ def test_the_good_files_are_read(cfg: DictConfig, files: dict[str, bytes], tmp_p
 
 
 @given(name=NAMES, share=st.floats(0, 1, exclude_max=True))
-@examples(40)
+@examples(15)
 def test_a_file_that_was_cut_short_is_refused(name: str, share: float, cfg: DictConfig, files: dict[str, bytes]) -> None:
     with scratch() as folder:
         (folder / name).write_bytes(files[name][: int(share * len(files[name]))])
@@ -95,7 +95,7 @@ def test_a_file_that_was_cut_short_is_refused(name: str, share: float, cfg: Dict
 
 
 @given(name=NAMES, content=st.binary(max_size=300))
-@examples(40)
+@examples(15)
 @example(name="last.ckpt", content=b"PK\x03\x04")
 @example(name="vision.ckpt", content=b"\x80\x02.")
 @example(name="model.safetensors", content=b"\xff" * 8)
@@ -108,7 +108,7 @@ def test_whatever_bytes_are_no_weights(name: str, content: bytes, cfg: DictConfi
 
 
 @given(name=NAMES, data=st.data())
-@examples(80)
+@examples(40)
 def test_damage_is_refused_or_does_no_harm(name: str, data: st.DataObject, cfg: DictConfig, files: dict[str, bytes]) -> None:
     with scratch() as folder:
         (folder / name).write_bytes(data.draw(damaged(files[name])))
@@ -131,7 +131,7 @@ OTHERS: dict[str, Any] = {"a word": "word", "a number": 3.0, "nothing": None, "a
 
 
 @given(data=st.data(), flaw=st.sampled_from(sorted({**FLAWS, **OTHERS})), packed=st.booleans())
-@examples(40)
+@examples(15)
 def test_other_values_are_refused(
     data: st.DataObject, flaw: str, packed: bool, cfg: DictConfig, state: dict[str, torch.Tensor]
 ) -> None:
@@ -145,7 +145,7 @@ def test_other_values_are_refused(
 
 
 @given(data=st.data(), change=st.sampled_from(["lost", "renamed", "more"]))
-@examples(20)
+@examples(8)
 def test_other_keys_are_refused(data: st.DataObject, change: str, cfg: DictConfig, state: dict[str, torch.Tensor]) -> None:
     key = data.draw(st.sampled_from([key for key in state if not key.startswith("normalization.average")]))
     changed = {**state}
@@ -167,7 +167,7 @@ def test_other_keys_are_refused(data: st.DataObject, change: str, cfg: DictConfi
     ),
     under=st.sampled_from([None, "network", "state_dict", "model", "InteractiveDataModule"]),
 )
-@examples(40)
+@examples(15)
 @example(content={}, under="network")
 @example(content={"weight": [1]}, under="state_dict")
 @example(content=3, under="network")
@@ -199,7 +199,7 @@ LIES: dict[str, Callable[[dict[str, Any], str], object]] = {
 
 
 @given(lie=st.sampled_from(sorted(LIES)), name=st.sampled_from(["state.safetensors", "model.safetensors"]), data=st.data())
-@examples(40)
+@examples(15)
 def test_lies_of_a_header_are_refused(
     lie: str, name: str, data: st.DataObject, cfg: DictConfig, files: dict[str, bytes]
 ) -> None:
@@ -218,7 +218,7 @@ def test_lies_of_a_header_are_refused(
     key=st.sampled_from(["model.network._target_", "model.network", "model", "primitive", "workspace", "primitive.name"]),
     value=st.one_of(st.none(), st.integers(), st.text(max_size=5), st.lists(st.integers(), max_size=2)),
 )
-@examples(40)
+@examples(15)
 @example(key="primitive.name", value="suction")
 def test_a_model_says_what_it_is_or_is_refused(key: str, value: Any, files: dict[str, bytes]) -> None:
     content = files["model.safetensors"]
@@ -245,7 +245,7 @@ def _used(model: model_file.TrainedModel) -> None:
 
 
 @given(value=st.sampled_from([float("nan"), float("inf"), -float("inf")]), data=st.data())
-@examples(10)
+@examples(4)
 def test_a_model_that_diverged_picks_nothing(
     value: float, data: st.DataObject, cfg: DictConfig, state: dict[str, torch.Tensor], files: dict[str, bytes]
 ) -> None:

@@ -359,7 +359,7 @@ def test_a_sweep_of_which_no_job_ran_says_so(
 
 def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match=r"cannot be written.*hydra\.run\.dir="):
+    with pytest.raises(ConfigError, match=r"hydra\.run\.dir=.* cannot be written: choose another"):
         check_command([f"hydra.run.dir={tmp_path}/file/run"])
 
 
