@@ -15,6 +15,7 @@ from see2act.experiment.identity import hash_of
 
 HERE = Path(__file__).parents[1]
 EXAMPLES = HERE / "docs" / "extending"
+SEARCHED = f"hydra.searchpath=['file://{EXAMPLES}/conf']"  # quoted, since a path may contain spaces
 TINY = (
     *("logger=none", "model.width=4", "collect.interactions=12", "collect.workers=1", "threads=1", "figures.scenes=1"),
     *("pretrain.epochs=1", "pretrain.batch_size=4", "pretrain.test_scenes=2", "finetune.attempts=3", "finetune.updates=1"),
@@ -23,7 +24,7 @@ TINY = (
 
 
 def _train(folder: Path, *overrides: str) -> dict:
-    command = [sys.executable, "train.py", f"hydra.searchpath=[file://{EXAMPLES}/conf]", f"hydra.run.dir={folder}", *TINY]
+    command = [sys.executable, "train.py", SEARCHED, f"hydra.run.dir={folder}", *TINY]
     environment = {**os.environ, "PYTHONPATH": str(EXAMPLES), "SEE2ACT_CACHE": str(folder.parent / "cache")}
     done = subprocess.run([*command, *overrides], cwd=HERE, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -55,7 +56,7 @@ def test_objects_of_one_s_own(tmp_path: Path) -> None:
 
 
 def test_an_experiment_of_one_s_own() -> None:
-    cfg = composed([f"hydra.searchpath=[file://{EXAMPLES}/conf]", "experiment=mine", "task=normal"])
+    cfg = composed([SEARCHED, "experiment=mine", "task=normal"])
     assert (cfg.name, cfg.collect.interactions, cfg.finetune.attempts) == ("mine", 1000, 150)
 
 

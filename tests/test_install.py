@@ -28,7 +28,7 @@ def test_make_says_how_to_get_another_python(tmp_path: Path) -> None:
     for name in ("Makefile", "pyproject.toml", "constraints.txt", "assets.txt"):
         shutil.copy(ROOT / name, tmp_path)
     programs = {
-        "python3": f"exec {sys.executable} -c 'import sys; sys.version_info = (3, 13); exec(sys.argv[1])' \"$2\"",
+        "python3": f"exec '{sys.executable}' -c 'import sys; sys.version_info = (3, 13); exec(sys.argv[1])' \"$2\"",
         "uv": "exit 1",
     }
     for name in ("make", "sh"):

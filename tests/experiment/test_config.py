@@ -151,7 +151,7 @@ def test_keys_that_came_later_leave_the_hash_of_earlier_runs(config: Callable) -
         ("+task.label.lower=3", ["no parameter 'lower'"]),
         ("robot.arm.home=[2,0,0.5]", ["robot.arm.home", "out of the arm's reach"]),
         ("task.weights=nowhere.ckpt", ["nowhere.ckpt", "no file"]),
-        (f"task.weights={EXPERIMENTS}", ["is no file", "type task=affordance"]),
+        (f"task.weights='{EXPERIMENTS}'", ["is no file", "type task=affordance"]),
         ("evaluate.runs=0", ["evaluate.runs=0"]),
         ("+sed=3", ["no configuration key 'sed'", "seed"]),
         ("+evaluate.attempts.unseeen=5", ["unseeen"]),
