@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from ur_analytic_ik import ur5
 
-from see2act.robot.simulation import TIMESTEP, Simulation
+from see2act.robot.simulation import TIMESTEP, Simulation, file_of
 from see2act.robot.types import RobotError, is_triple
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
@@ -85,10 +83,8 @@ class Arm:
     def load(self) -> None:
         """Load the arm into an empty simulation, at home."""
         client = self._simulation.client
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "robot.urdf"
-            path.write_text(self._urdf)
-            self.body = client.loadURDF(str(path), basePosition=self._config.base, useFixedBase=True)
+        path = file_of(self._urdf.encode(), ".urdf")
+        self.body = client.loadURDF(str(path), basePosition=self._config.base, useFixedBase=True)
         infos = [client.getJointInfo(self.body, i) for i in range(client.getNumJoints(self.body))]
         self.joint_index = {info[1].decode(): i for i, info in enumerate(infos)}
         self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}

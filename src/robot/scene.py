@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +15,7 @@ from annotated_types import Ge
 from see2act.robot.floors import floor_picture
 from see2act.robot.layouts import Layout, Placed, Refusal
 from see2act.robot.objects import ObjectSet, random_color, random_rotation
-from see2act.robot.simulation import Simulation
+from see2act.robot.simulation import Simulation, file_of
 from see2act.robot.textures import TEXTURES
 from see2act.robot.types import NotNegative, RobotError, Split
 
@@ -117,7 +118,8 @@ class Scene:
         self._size = np.array([width, length])
         self._objects = objects
         self._show_table = table
-        self._files = tempfile.TemporaryDirectory()
+        self._meshes: dict[str, str] = {}
+        """Paths by the name of the object."""
         self.bodies: list[Body] = []
         self.wall_height = config.wall_height
 
@@ -140,9 +142,8 @@ class Scene:
         width, length = self._size
         picture = floor_picture(rng, width, length, printed)
         with tempfile.TemporaryDirectory() as folder:  # a new path each time, since Bullet caches textures by path
-            image, sheet = Path(folder) / "floor.png", Path(folder) / "sheet.obj"
+            image, sheet = Path(folder) / "floor.png", file_of(SHEET.encode(), ".obj")
             cv2.imwrite(str(image), picture[..., ::-1])
-            sheet.write_text(SHEET)
             visual = client.createVisualShape(client.GEOM_MESH, fileName=str(sheet), meshScale=[*half, 1])
             body = client.createMultiBody(0, -1, visual, (0, 0, SHEET_ABOVE))
             client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(image)), rgbaColor=(1, 1, 1, 1))
@@ -269,11 +270,11 @@ class Scene:
         color: tuple[float, float, float],
     ) -> None:
         client = self._simulation.client
-        path = Path(self._files.name) / f"{name}.obj"
-        if not path.exists():
-            path.write_text(self._objects.shape(name).obj())
-        collision = client.createCollisionShape(client.GEOM_MESH, fileName=str(path), meshScale=[scale] * 3)
-        visual = client.createVisualShape(client.GEOM_MESH, fileName=str(path), meshScale=[scale] * 3, rgbaColor=(*color, 1))
+        if name not in self._meshes:
+            self._meshes[name] = str(file_of(self._objects.shape(name).obj().encode(), ".obj"))
+        mesh = {"fileName": self._meshes[name], "meshScale": [scale] * 3}
+        collision = client.createCollisionShape(client.GEOM_MESH, **mesh)
+        visual = client.createVisualShape(client.GEOM_MESH, **mesh, rgbaColor=(*color, 1))
         mass = self._objects.shape(name).volume * scale**3 * self._objects.density
         body = client.createMultiBody(mass, collision, visual, position, rotation)
         client.changeDynamics(
@@ -287,14 +288,8 @@ class Scene:
             angularDamping=0.2,
         )
         if texture := self._objects.textures.get(name):
-            client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(self._texture(texture))))
+            client.changeVisualShape(body, -1, textureUniqueId=client.loadTexture(str(_texture(texture))))
         self.bodies.append(Body(body, name, scale, color, name in self._objects.transparent))
-
-    def _texture(self, name: str) -> Path:
-        path = Path(self._files.name) / f"{name}.png"
-        if not path.exists():
-            cv2.imwrite(str(path), TEXTURES[name]())
-        return path
 
     def _ring(self, x: float, y: float, half: float, height: float, color: tuple[float, float, float] | None) -> list[int]:
         """Four walls with their inner faces at +-x and +-y."""
@@ -313,3 +308,8 @@ class Scene:
         block = int(client.createMultiBody(0, collision, visual, at))
         client.changeDynamics(block, -1, lateralFriction=self._config.friction)
         return block
+
+
+@cache
+def _texture(name: str) -> Path:
+    return file_of(cv2.imencode(".png", TEXTURES[name]())[1].tobytes(), ".png")

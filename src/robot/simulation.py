@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -122,3 +126,24 @@ class Simulation:
         """Disconnect the client. Safe to call twice."""
         if self.client.isConnected():
             self.client.disconnect()
+
+
+def file_of(content: bytes, ending: str) -> Path:
+    """A file with this content, for Bullet to read.
+
+    Equal contents have the same path throughout a process: Bullet keeps what it has read from every path in memory, also after
+    its client has been closed.
+
+    Args:
+        content: The whole file.
+        ending: Of its name: ``.obj``.
+    """
+    path = Path(_files(os.getpid()).name) / f"{hashlib.sha256(content).hexdigest()}{ending}"
+    if not path.exists():
+        path.write_bytes(content)
+    return path
+
+
+@cache
+def _files(_process: int) -> TemporaryDirectory:
+    return TemporaryDirectory(prefix="see2act-")

@@ -7,6 +7,7 @@ import pytest
 
 from see2act.robot.scene import AT_REST
 from see2act.robot.simulated import SimulatedRobot
+from see2act.robot.simulation import file_of
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +105,24 @@ def test_an_object_that_leaves_the_bin_is_counted(robot: SimulatedRobot) -> None
     outcome = robot.execute(robot.workspace.pick(robot.observe().heightmap, 10, 10, 0.0))
     assert outcome.lost == 1
     assert len(robot.scene.bodies) == 1
+
+
+def test_robots_of_one_process_share_the_files_that_bullet_keeps_in_memory(make_robot: Callable[..., SimulatedRobot]) -> None:
+    """Otherwise each robot would leave its meshes in memory, and each scene the arm's URDF."""
+    loaded = []
+    for _ in range(2):
+        robot = make_robot("primitive=suction")
+        for seed in (3, 3):
+            robot.reset(seed, "seen")
+            client = robot.simulation.client
+            shapes = [client.getVisualShapeData(body)[0] for body in sorted(robot.scene.positions())]
+            loaded.append([shape[4] for shape in shapes])
+    assert all(name.endswith(b".obj") for name in loaded[0])
+    assert loaded[0] == loaded[1] == loaded[2] == loaded[3]
+
+
+def test_a_file_for_bullet_has_the_path_of_its_content() -> None:
+    path = file_of(b"first", ".obj")
+    assert path == file_of(b"first", ".obj")
+    assert path != file_of(b"second", ".obj")
+    assert path.read_bytes() == b"first"
