@@ -61,14 +61,12 @@ class Campaign:
         self.kills[where] += 1
         if status == 0 and not victim and "result.json" not in command.printed[-1000:]:  # it had not finished by then
             self.fault(f"{where}: killed, and the exit status is 0")
-        if victim and "Traceback" in command.printed:
-            self.fault(f"{where}: a traceback was printed: {command.printed[-1500:]}")
         if left := command.orphans():
             self.fault(f"{where}: {len(left)} processes are left")
             for pid in left:
                 os.kill(pid, signal.SIGKILL)
-        if self.signal != signal.SIGKILL and "Traceback" in command.printed:
-            self.fault(f"{where}: a traceback was printed")
+        if (victim or self.signal != signal.SIGKILL) and "Traceback" in command.printed:
+            self.fault(f"{where}: a traceback was printed: {command.printed[-1500:]}")
 
     def finish(self, arguments: Sequence[str], cwd: Path, what: str) -> Command:
         """Type the same command again and let it end."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ from see2act.experiment.folder import alone_in, claim, of_this_version, refuse_f
 from see2act.experiment.results import PHASES, SPLITS, RunResult, SplitCounts, read_result, wilson
 
 log = logging.getLogger("see2act")
+AGAIN = 0.01
+"""Seconds after which an interrupt that was dropped is sent again."""
 
 
 def run_checked(cfg: DictConfig, folder: Path) -> float:
@@ -71,15 +74,30 @@ def _run(cfg: DictConfig, folder: Path) -> RunResult:
 
 @contextmanager
 def _sigterm_interrupts() -> Iterator[None]:
-    """As Ctrl-C does. Lightning would wait for the next learning step, which an evaluation keeps waiting."""
+    """As Ctrl-C does. Lightning would wait for the next learning step, which an evaluation keeps waiting.
+
+    Python drops an interrupt that arrives while it finalizes an object. Then it is sent again.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    told = sys.unraisablehook
+
+    def again(dropped: sys.UnraisableHookArgs) -> None:
+        if issubclass(dropped.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        else:
+            told(dropped)
+
+    before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGTERM, signal.SIGALRM)}
+    sys.unraisablehook = again
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)  # while Python ends, an interrupt would be a traceback
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        sys.unraisablehook = told
+        for number, handler in before.items():
+            signal.signal(number, handler)  # while Python ends, an interrupt would be a traceback
 
 
 def _print(result: RunResult, folder: Path) -> None:
