@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import shutil
@@ -143,7 +144,16 @@ def run_job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
     except Exception as error:
         log.exception("this job failed")
         _note(folder, FAILED, f"{type(error).__name__}: {error}")
+    finally:
+        _give_back_memory()
     return None
+
+
+def _give_back_memory() -> None:
+    """Return freed memory to the system. Otherwise glibc's heap grows by 0.2 MB with each job that runs in the same process."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
+    if trim:
+        trim(0)
 
 
 def _note(folder: Path, name: str, text: str) -> None:
