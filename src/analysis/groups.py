@@ -61,6 +61,11 @@ class Group:
         return [run.seed for run in self.runs]
 
     @property
+    def pretrain_seeds(self) -> set[str]:
+        """Seeds of the vision models of its runs."""
+        return {run.pretrain_seed for run in self.runs}
+
+    @property
     def learned(self) -> bool:
         """Whether it was fine-tuned at all."""
         return not self.runs[0].result.eval.repeated
@@ -243,6 +248,9 @@ def _warnings(comparison: Comparison) -> Iterator[str]:
     if len(seeds) > 1:
         each = "; ".join(f"{group.name}: {' '.join(map(str, group.seeds))}" for group in comparison.groups)
         yield f"groups have different seeds, as in a sweep that is not finished ({each})."
+    shared = [group.name for group in comparison.groups if group.task != "none" and len(group.pretrain_seeds) < len(group.runs)]
+    if shared:
+        yield f"seeds share vision models, so intervals leave out how vision models differ: {'; '.join(shared)}."
     few = [group.name for group in comparison.groups if len(group.runs) < ENOUGH]
     if len(few) == len(comparison.groups):
         yield f"no group has {ENOUGH} seeds: too few to conclude from."

@@ -71,6 +71,12 @@ class Run:
         return self.result.seed
 
     @property
+    def pretrain_seed(self) -> str:
+        """Of the vision model; empty where its configuration is not there."""
+        typed = self.config.get("pretrain.seed", "")
+        return str(self.seed) if typed == "${seed}" else typed
+
+    @property
     def choices(self) -> dict[str, str]:
         """What was typed, without the seed."""
         return {key: str(value) for key, value in self.result.choices.items() if key != "seed"}

@@ -56,9 +56,12 @@ def rates(group: Group, measure: str) -> list[float]:
 
 
 def one_measurement(group: Group, measure: str) -> bool:
-    """Whether a group's seeds repeat each other: before it learns, nothing of a model whose head was copied is a seed's."""
+    """Whether a group's seeds repeat each other: before it learns, nothing of a model whose head was copied is a seed's.
+
+    Unless each seed has a vision model of its own.
+    """
     untouched = measure.startswith("zero_shot") or (not group.learned and measure != LEARNING)
-    if len(group.runs) < 2 or not untouched or group.transfer not in ("full", "fixed"):
+    if len(group.runs) < 2 or not untouched or group.transfer not in ("full", "fixed") or len(group.pretrain_seeds) > 1:
         return False
     return len({tuple(run.scores(*MEASURES[measure])) for run in group.runs}) == 1
 

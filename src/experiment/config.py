@@ -172,6 +172,7 @@ class FinetuneConfig:
     weight_decay: NotNegative = MISSING
     batchnorm: Annotated[str, OneOf("frozen", "batch")] = MISSING
     averaging: Annotated[float, Field(ge=0, lt=1)] = MISSING
+    averaging_warmup: Annotated[int, Field(ge=0)] = MISSING
     logit_scale: Positive = MISSING
     temperature: NotNegative = MISSING
     episode_attempts: Count = MISSING

@@ -32,10 +32,13 @@ MODEL = Path("checkpoints", "model.safetensors")
 LATER: dict[str, Any] = {
     **{"task.affordance": False, "collect.folder": None, "evaluate.argmax": True},
     **{"camera.randomize": False, "robot.latency": 0.0},
+    **{"finetune.averaging_warmup": 0},
 }
 """Keys that came later, with the value that leaves a run as it was before them: then they do not change its hash."""
 CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")
 """Groups whose names a result has."""
+ANY_SEED = -1
+"""Stands for the seeds of all runs in the hash of their configuration."""
 WORD = r"\w+"
 """What such a name must match."""
 HASH_LENGTH = 12
@@ -53,7 +56,12 @@ PACKAGES = (
 
 
 def config_hash(cfg: DictConfig) -> str:
-    """Hash of everything that can change a result but the seed: the runs that differ by seed alone share it."""
+    """Hash of everything that can change a result but the seed: the runs that differ by seed alone share it.
+
+    What the configuration makes of the seed (``pretrain.seed=${seed}``) does not count either.
+    """
+    cfg = cfg.copy()
+    cfg.seed = ANY_SEED
     deciding = plain(cfg, *(str(key) for key in cfg if key not in LOCAL))
     deciding["collect"].pop("workers")
     deciding["robot"] = deciding_robot(cfg)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import lightning as L
@@ -88,6 +89,9 @@ class AffordanceModule(L.LightningModule):
         batchnorm: ``frozen`` uses the running statistics; ``batch`` uses those of each replay batch.
         averaging: Decay per learning step of the moving average of parameters and BatchNorm statistics. The averaged network
             acts and is evaluated, because the gradients of single pixels are noisy. 0 uses the latest parameters.
+        averaging_warmup: After n steps the decay is at most (1 + n) / (averaging_warmup + n), as in TensorFlow's
+            ``ExponentialMovingAverage``. So the average covers a constant share of the first steps, and a model whose first
+            picks all fail soon makes others. 0 sets no such limit.
     """
 
     def __init__(
@@ -101,11 +105,12 @@ class AffordanceModule(L.LightningModule):
         weight_decay: float,
         batchnorm: str,
         averaging: float,
+        averaging_warmup: int,
     ):
         super().__init__()
         self.save_hyperparameters(ignore=["network"], logger=False)  # the run logs its whole configuration
         self.network = network
-        self.average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(averaging), use_buffers=True)
+        self.average = AveragedModel(network, multi_avg_fn=_warming_up(averaging, averaging_warmup), use_buffers=True)
         self.rotations = Rotations(shape, angles, network.stride, network.receptive_radius)
         self._rates = {"backbone": backbone_lr, "head": head_lr}
         self._weight_decay = weight_decay
@@ -163,6 +168,16 @@ class AffordanceModule(L.LightningModule):
     def configure_optimizers(self) -> torch.optim.Optimizer:
         groups = [{"params": getattr(self.network, part).parameters(), "lr": lr} for part, lr in self._rates.items()]
         return torch.optim.Adam(groups, weight_decay=self._weight_decay)
+
+
+def _warming_up(decay: float, warmup: int) -> Callable[[list[Tensor], list[Tensor], Tensor], None]:
+    """For ``AveragedModel``, an exponential moving average whose decay rises to ``decay``."""
+
+    def update(averaged: list[Tensor], latest: list[Tensor], steps: Tensor) -> None:
+        most = (1 + int(steps)) / (warmup + int(steps))
+        get_ema_multi_avg_fn(min(decay, most))(averaged, latest, steps)
+
+    return update
 
 
 def _mirrored(x: Tensor, row: Tensor, col: Tensor, mirror: Bool[Tensor, "B 2"]) -> tuple[Tensor, Tensor, Tensor]:

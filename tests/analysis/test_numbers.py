@@ -61,6 +61,19 @@ def test_seeds_that_repeat_each_other_are_one_measurement(make_run: MakeRun, tmp
     assert point["attempts"] == "20"
 
 
+def test_seeds_with_a_vision_model_each_do_not_repeat_each_other(make_run: MakeRun, tmp_path: Path) -> None:
+    for seed in range(5):
+        make_run("corner-full", seed=seed, zero=[(0, 10), (0, 10)], pretrain__seed="${seed}")
+        make_run("edge-full", seed=seed, zero=[(0, 10), (0, 10)], pretrain__seed=0)
+    found = find(tmp_path)
+    by_cell = {(r["task"], r["transfer"]): r for r in rows(found) if r["primitive"] == "suction"}
+    assert by_cell["corner", "full"]["zero_shot_unseen_attempts"] == "100"
+    assert by_cell["edge", "full"]["zero_shot_unseen_attempts"] == "20"
+    (notice,) = [notice for notice in found.notices if "share vision models" in notice]
+    assert "edge, full" in notice
+    assert "corner" not in notice
+
+
 def test_groups_are_compared_with_the_baseline_and_within_their_source(make_run: MakeRun, tmp_path: Path) -> None:
     for seed in range(4):
         make_run("none-none", seed=seed, unseen=[(seed, 10), (seed, 10)])

@@ -484,6 +484,14 @@ def test_a_network_that_gives_another_shape_is_refused(config: Callable, monkeyp
         check_run(config("task=edge", "transfer=full"))
 
 
+def test_what_follows_from_the_seed_leaves_the_hash_as_it_is(config: Callable[..., DictConfig]) -> None:
+    own = [config("pretrain.seed=${seed}", f"seed={seed}") for seed in (0, 3)]
+    assert [cfg.collect.seed for cfg in own] == [0, 3]
+    assert config_hash(own[0]) == config_hash(own[1])
+    shared = [config(f"seed={seed}") for seed in (0, 3)]
+    assert config_hash(shared[0]) == config_hash(shared[1]) != config_hash(own[0])
+
+
 def test_experiments_share_the_runs_they_have_in_common(config: Callable[..., DictConfig]) -> None:
     condition = ("primitive=grasp", "task=foreground", "transfer=full")
     runs = [config(f"experiment={name}", *condition) for name in ("transfer_parts", "vision_tasks")]

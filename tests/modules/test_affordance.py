@@ -162,6 +162,17 @@ def test_the_average_acts_and_the_last_parameters_learn() -> None:
     assert all(p.grad is None for p in module.average.parameters())
 
 
+def test_the_average_is_short_at_first() -> None:
+    """After n steps it keeps (1 + n) / (10 + n) of itself, and at most its decay."""
+    module = make_module(FCN7(4), averaging=0.25, averaging_warmup=10)
+    bias, expected = module.network.head[-2].bias, 0.0
+    for n, kept in enumerate((0.0, 2 / 11, 3 / 12, 0.25, 0.25)):
+        torch.nn.init.constant_(bias, n)
+        module.on_train_batch_end()
+        expected = kept * expected + (1 - kept) * n
+        assert module.acting.head[-2].bias.item() == pytest.approx(expected)
+
+
 def test_statistics_are_averaged_with_the_parameters_they_belong_to() -> None:
     module = _module(1)
     mean = next(m for m in module.network.modules() if isinstance(m, torch.nn.BatchNorm2d)).running_mean

@@ -51,6 +51,7 @@ def affordance_model(
         weight_decay=cfg.finetune.weight_decay,
         batchnorm=cfg.finetune.batchnorm,
         averaging=cfg.finetune.averaging,
+        averaging_warmup=cfg.finetune.averaging_warmup,
     )
     module.to(build.device(cfg))
     if collection:
