@@ -227,6 +227,7 @@ def _module(cfg: DictConfig) -> AffordanceModule:
         weight_decay=0.0,
         batchnorm="frozen",
         averaging=0.0,
+        averaging_warmup=0,
     )
 
 

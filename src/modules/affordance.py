@@ -170,10 +170,13 @@ class AffordanceModule(L.LightningModule):
         return torch.optim.Adam(groups, weight_decay=self._weight_decay)
 
 
-def _warming_up(decay: float, warmup: int) -> Callable[[list[Tensor], list[Tensor], Tensor], None]:
+Parameters = tuple[Tensor, ...] | list[Tensor]
+
+
+def _warming_up(decay: float, warmup: int) -> Callable[[Parameters, Parameters, Tensor | int], None]:
     """For ``AveragedModel``, an exponential moving average whose decay rises to ``decay``."""
 
-    def update(averaged: list[Tensor], latest: list[Tensor], steps: Tensor) -> None:
+    def update(averaged: Parameters, latest: Parameters, steps: Tensor | int) -> None:
         most = (1 + int(steps)) / (warmup + int(steps))
         get_ema_multi_avg_fn(min(decay, most))(averaged, latest, steps)
 
