@@ -100,7 +100,7 @@ def _of(keys: dict[str, Kind]) -> st.SearchStrategy[str]:
 
 
 @given(override=st.one_of(_of(SCHEMA), _of(CLASSES[0][1])))
-@examples(5)
+@examples(8)
 @example(override="finetune.temperature=nan")
 @example(override="camera.noise.step=0")
 @example(override="workspace.width=[]")
@@ -115,7 +115,7 @@ def test_a_wrong_value_is_refused_before_a_folder_is_made(override: str) -> None
 
 
 @given(part=st.sampled_from(BUILT), value=st.one_of(NOT_FINITE, st.integers(-3, 3), WORDS, st.booleans(), st.none()))
-@examples(2)
+@examples(3)
 @example(part="camera.noise", value=5)
 @example(part="camera.randomization", value=None)
 @example(part="robot.arm", value=0.5)
@@ -140,7 +140,7 @@ def test_a_target_that_is_no_class_is_refused(part: str, name: Any) -> None:
 
 
 @given(group=st.sampled_from(GROUPS), option=st.one_of(WORDS, st.lists(st.integers(-3, 3), min_size=1, max_size=2), MAPPINGS))
-@examples(3)
+@examples(4)
 @example(group="model", option=[[1]])
 @example(group="robot", option=float("nan"))
 def test_an_option_that_does_not_exist_is_refused(group: str, option: Any) -> None:
@@ -148,7 +148,7 @@ def test_an_option_that_does_not_exist_is_refused(group: str, option: Any) -> No
 
 
 @given(key=st.sampled_from(sorted({*SCHEMA, *CLASSES[0][1]})), other=WORDS, sign=st.sampled_from(["", "+", "++", "~"]))
-@examples(3)
+@examples(4)
 def test_a_key_that_does_not_exist_is_refused(key: str, other: str, sign: str) -> None:
     _refused(f"{sign}{key}{other}=1")
 
@@ -172,7 +172,7 @@ NOISE = st.text("[]{}()=,:$'\"\\ ~+@|*.\n\té😀abc019-", max_size=12)
     words=st.lists(st.one_of(NOISE, st.text(max_size=8), NOISE.map(lambda noise: f"seed={noise}")), min_size=1, max_size=3),
     sweep=st.booleans(),
 )
-@examples(12)
+@examples(15)
 @example(words=["seed=" + "[" * 500], sweep=False)
 @example(words=["seed=" + "[" * 3000 + "]" * 3000], sweep=False)
 @example(words=["seed=${seed}"], sweep=False)
@@ -188,37 +188,59 @@ def test_whatever_is_typed_is_composed_or_refused_in_a_line(words: Sequence[str]
 
 
 CONTRADICTIONS = (
+    ("task=none",),
+    ("transfer=none",),
+    ("task=imagenet", "transfer=full", "model=rpn_r50_fpn"),
+    ("task=coco",),
+    ("task=affordance",),
     ("labels=vision", "robot.bin.floor=textured"),
     ("robot.bin.distractors=3",),
+    ("finetune.robots=7",),
+    ("collect.interactions=8",),
+    ("collect.folder=somewhere",),
+    ("objects.kinds=16",),
     ("objects.seen=[cube]",),
     ("objects.unseen=[cube,brick,can,puck,ell]",),
+    ("objects.scale=[1,0.5]",),
     ("objects.scale=[nan,1]",),
     ("camera.position=0.5",),
     ("camera.up=[1,2]",),
+    ("camera.up=[0,0,0]",),
     ("robot.arm.home=[0,0]",),
     ("robot.arm.base=5",),
     ("workspace.pixel=1e-9",),
     ("workspace.width=1e30",),
     ("primitive.footprint=[nan,nan]",),
+    ("primitive.footprint=[]",),
+    ("primitive.footprint=[0.01,0.01,0.01]",),
     ("task.label=null",),
+    ("task.weights=/",),
     ("trainer.accelerator=tpu",),
+    ("trainer.devices=[]",),
     ("trainer.strategy=nonsense",),
+    ("+trainer.callbacks=[1]",),
     ("trainer._partial_=false",),
     ("objects._partial_=true",),
     ("+camera.noise._args_=[1]",),
     ("logger=none", "+logger.project=mine"),
     ("task.label.blur=0",),
+    ("task.label.blur=1e9",),
+    ("task=corner", "task.label.window=1e9"),
     ("task=corner", "task.label.radius=1e9"),
     ("task=normal", "task.label.window=1e9"),
     ("task.label.pixel=0",),
+    ("robot=ur5_real",),
     ("robot.layouts=7",),
+    ("experiment=smoke",),
     ("+experiment=[smoke]",),
 )
 
 
 @pytest.mark.parametrize("overrides", CONTRADICTIONS, ids=" ".join)
-def test_what_contradicts_itself_is_refused(overrides: tuple[str, ...]) -> None:
-    _refused(*overrides)
+@given(more=st.sampled_from([(), ("seed=3",), ("primitive=grasp",), ("force=true",)]))
+@examples(1)
+def test_what_contradicts_itself_is_refused(overrides: tuple[str, ...], more: tuple[str, ...]) -> None:
+    _refused(*overrides, *more)
 
 
 PLACES = st.sampled_from(["a file", "a file/below", "/dev/null", "/dev/null/a/b"])

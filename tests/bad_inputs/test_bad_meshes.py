@@ -153,7 +153,7 @@ def test_a_folder_without_enough_meshes_is_refused(files: dict[str, bytes]) -> N
         is_refused(lambda: _made(folder, kinds=2), folder)
 
 
-@pytest.mark.parametrize("name", ["nothing", "a file", "a\nb", "x" * 300])
+@pytest.mark.parametrize("name", ["nothing", "a file", "a loop", "a\nb", "é😀", "x" * 300])
 def test_a_path_that_is_no_folder_is_refused(name: str) -> None:
     with scratch() as folder:
         (folder / "a file").touch()
@@ -185,7 +185,7 @@ NUMBERS = st.sampled_from([float("nan"), float("inf"), -1.0, 0.0, 1e30])
 
 
 @given(key=st.sampled_from(["unit", "held_out", "width", "density", "opening", "scale", "kinds", "copies"]), value=NUMBERS)
-@examples(2)
+@examples(6)
 @example(key="held_out", value=float("nan"))
 @example(key="held_out", value=-1.0)
 @example(key="held_out", value=2.0)

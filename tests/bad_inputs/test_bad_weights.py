@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from omegaconf import DictConfig
 from safetensors.torch import save as serialized
 
+from see2act.commands import demo
 from see2act.errors import storage_errors
 from see2act.experiment import build, model_file
 from see2act.experiment.checkpoints import load_checkpoint
@@ -23,7 +24,7 @@ from see2act.experiment.preflight import check_command
 from see2act.experiment.stages.finetune import _attempts_in
 from see2act.experiment.stages.transfer import check_weights
 from see2act.modules import weights
-from tests.bad_inputs.refusals import damaged, examples, is_refused, is_refused_or_done, scratch
+from tests.bad_inputs.refusals import command_is_refused, damaged, examples, is_refused, is_refused_or_done, scratch
 
 SMALL = ("model.width=2", "precision=fp32")
 
@@ -262,7 +263,7 @@ def test_a_model_that_diverged_picks_nothing(
 # Paths
 
 
-@pytest.mark.parametrize("name", ["nothing", "a folder", "a loop", "x" * 300, "line\nbreak"])
+@pytest.mark.parametrize("name", ["nothing", "a folder", "a loop", "a file/below", "x" * 300, "line\nbreak", "/dev/null"])
 def test_a_path_that_leads_nowhere_is_refused(name: str, cfg: DictConfig, tmp_path: Path) -> None:
     (tmp_path / "a folder").mkdir()
     (tmp_path / "a file").touch()
@@ -277,9 +278,5 @@ def test_a_path_that_leads_nowhere_is_refused(name: str, cfg: DictConfig, tmp_pa
     is_refused(typed, tmp_path)
     is_refused(lambda: check_weights(ours), tmp_path)
     is_refused(lambda: weights.task_of(Path(given)), tmp_path)
-
-    def loaded() -> None:
-        with storage_errors():
-            model_file.load(tmp_path / name)
-
-    is_refused(loaded, tmp_path)
+    options = ["--checkpoint", given, "--out", str(tmp_path / "out"), "--no-film", places[0]]
+    command_is_refused(demo.main, options, tmp_path)
