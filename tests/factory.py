@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from typing import Any
 
@@ -35,9 +35,13 @@ def finished_run(
     zero: Counts = ((3, 10), (4, 10)),
     learned: Sequence[int] = (0, 1) * 20,
     versions: dict[str, str] = VERSIONS,
+    between: Mapping[int, Counts] | None = None,
     **choices: Any,
 ) -> RunResult:
-    """A run that learned with the outcomes ``learned``, and was tested before and after; never fine-tuned if it is empty."""
+    """A run that learned with the outcomes ``learned``, and was tested before and after; never fine-tuned if it is empty.
+
+    ``between`` has tests of unseen objects on the way, by step.
+    """
     runs = {len(seen), len(unseen), len(zero)}
     zero = zero if len(runs) == 1 else [(0, 1)] * len(unseen)
     seen = seen if len(runs) == 1 else [(0, 1)] * len(unseen)
@@ -46,7 +50,8 @@ def finished_run(
         before = after = before.model_copy(update={"repeated": True})
     blocks = [learned[i : i + BLOCK] for i in range(0, len(learned), BLOCK)]
     ends = accumulate(map(len, blocks))
-    steps = {0: before, len(learned): after}
+    on_the_way = {step: evaluation(seen, counts) for step, counts in (between or {}).items()}
+    steps = {0: before, **on_the_way, len(learned): after}
     return RunResult(
         choices=CHOICES | choices | {"seed": seed},
         config_hash=config_hash,

@@ -18,6 +18,7 @@ from see2act.analysis.commands import command
 from see2act.analysis.contrasts import aggregates, contrasts, findings
 from see2act.analysis.groups import Comparison, Found, Group
 from see2act.analysis.plots import Picture
+from see2act.analysis.reaching import TARGET
 from see2act.analysis.runs import Run
 from see2act.analysis.summary import Row
 from see2act.experiment.results import SPLITS
@@ -69,6 +70,7 @@ def write(found: Found, rows: list[Row], steps: list[Row], pictures: dict[str, l
         ],
         versions=_versions(found),
         paper=paper,
+        target=TARGET,
         hours=sum(map(seconds, found.runs)) / 3600,
         seconds=seconds,
     )

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from see2act.analysis.drawing import OTHER_COLOR, STYLE, band, band_words, bar_words, dots, legend, level, look
 from see2act.analysis.groups import Comparison, Group
+from see2act.analysis.reaching import TARGET, reaching, tested_at
 from see2act.analysis.summary import published_for, rates
 from see2act.experiment.attempts import TESTED
 from see2act.experiment.results import BLOCK, SPLITS
@@ -106,11 +107,11 @@ def protocol(comparison: Comparison) -> Drawn:
     """Success by the protocol, on the way."""
     groups = _overview(comparison)
     figure, grid = plt.subplots(1, 2, figsize=(10, 3.9), sharey=True, layout="constrained")
-    most = max(point.step for group in groups for run in group.runs for point in run.result.evals)
+    most = tested_at(groups)[-1]
     if most == 0:
         plt.close(figure)
         return None
-    ticks = sorted({point.step for group in groups for run in group.runs for point in run.result.evals})
+    ticks = _spaced(tested_at(groups), most / 16)
     for axes, split in zip(grid, reversed(SPLITS), strict=True):
         for i, group in enumerate(groups):
             _, style = look(comparison, group)
@@ -128,6 +129,47 @@ def protocol(comparison: Comparison) -> Drawn:
     ends = "; ".join(f"{group.name} {np.mean(rates(group, 'after_unseen')):.2f}" for group in groups)
     caption = f"Evaluated with frozen weights, mean over seeds. {bar_words(groups)} Points are shifted a little sideways."
     return figure, caption, f"Success rate by the protocol against attempts. On unseen objects at the end: {ends}."
+
+
+def reach(comparison: Comparison) -> Drawn:
+    """How many attempts each source needs."""
+    known = [(group, found) for group in comparison.groups if (found := reaching(group))]
+    if not known:
+        return None
+    last = max(found.last for _, found in known)
+    beyond = 1.1 * last  # where runs stand that did not reach the target
+    figure, axes = plt.subplots(figsize=(7.5, 1.1 + 0.42 * len(known)), layout="constrained")
+    places = np.arange(len(known))[::-1]
+    for place, (group, found) in zip(places, known, strict=True):
+        color, style = look(comparison, group)
+        median, each = (np.minimum(values, beyond) for values in (found.median, found.each))
+        above = [0.18 + 0.045 * list(each[:i]).count(value) for i, value in enumerate(each)]  # equal seeds, one on another
+        axes.plot(each, place + np.array(above), ".", color=color, alpha=0.8, markersize=3)
+        limits = np.minimum(found.interval or (median, median), beyond)
+        axes.errorbar([median], [place], xerr=np.abs(limits[:, None] - median), capsize=3, **style | {"linestyle": "none"})
+    axes.axvspan(1.05 * last, 1.15 * last, color="#000000", alpha=0.06, linewidth=0)
+    ticks = [step for step in _spaced(tested_at([group for group, _ in known]), last / 16) if step <= last]
+    axes.set_xticks([*ticks, beyond], [*map(str, ticks), "not\nreached"])
+    axes.set(xlim=(-0.02 * last, 1.15 * last), ylim=(-0.5, len(known) - 0.2))
+    axes.set_xlabel(f"fine-tuning attempts until success on unseen objects is {TARGET}")
+    axes.set_yticks(places, [group.name for group, _ in known])
+    axes.grid(axis="y", visible=False)
+    told = "; ".join(f"{group.name} {found.text(found.median)}" for group, found in known)
+    caption = (
+        f"Attempts before the first test by the protocol with a success rate of {TARGET} or more on unseen objects. "
+        f"Large points are medians over seeds, small ones above them the seeds. Bars: exact 95 % interval of the median"
+        f"{', none below six seeds' if any(found.interval is None for _, found in known) else ''}."
+    )
+    return figure, caption, f"Median attempts until success on unseen objects is {TARGET}: {told}."
+
+
+def _spaced(steps: Sequence[int], least: float) -> list[int]:
+    """The steps that are at least so far from the last one that was taken."""
+    taken: list[int] = []
+    for step in steps:
+        if not taken or step - taken[-1] >= least:
+            taken.append(step)
+    return taken
 
 
 def transfer_curves(comparison: Comparison) -> Drawn:
@@ -231,6 +273,7 @@ def causes(comparison: Comparison) -> Drawn:
 FIGURES: tuple[tuple[str, str, Callable[[Comparison], Drawn]], ...] = (
     ("curves", "Learning by trial and error", curves),
     ("protocol", "Tested on the way", protocol),
+    ("reach", f"Attempts until success is {TARGET}", reach),
     ("transfer-curves", "What is transferred, while learning", transfer_curves),
     ("transfer", "What is transferred, afterwards", transfer),
     ("zero-shot", "Zero-shot", zero_shot),

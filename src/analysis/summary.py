@@ -18,6 +18,7 @@ from see2act.analysis.intervals import (
     mean_interval,
     t_interval,
 )
+from see2act.analysis.reaching import reaching
 from see2act.analysis.runs import Run
 from see2act.experiment.results import SPLITS, wilson
 from see2act.files import replacing
@@ -38,12 +39,14 @@ PARTS = ("mean", "low", "high", "successes", "attempts", "wilson_low", "wilson_h
 GAINS = {f"gain_{split}": (f"after_{split}", f"zero_shot_{split}") for split in ("unseen", "seen")}
 """What fine-tuning changed: a seed's rate after less its rate before, on the same scenes."""
 GAIN_PARTS = ("mean", "low", "high", "lowest")
+REACH = ("reach_median", "reach_low", "reach_high", "reach_seeds")
+"""Attempts until success on unseen objects is ``reaching.TARGET``, and by how many seeds it was reached."""
 IQM = ("after_unseen_iqm", "after_unseen_iqm_low", "after_unseen_iqm_high")
 COLUMNS = (
     *("primitive", "protocol", "task", "transfer", "model", "config_hash", "differs", "seeds", "paper_unseen"),
     *(f"{measure}_{part}" for measure in (*MEASURES, LEARNING) for part in PARTS),
     *(f"{gain}_{part}" for gain in GAINS for part in GAIN_PARTS),
-    *(*IQM, "note"),
+    *(*REACH, *IQM, "note"),
 )
 PROGRESS_COLUMNS = ("primitive", "protocol", "task", "transfer", "model", "config_hash", "seeds", "step", "split", *PARTS)
 Row = dict[str, str]
@@ -116,6 +119,9 @@ def _row(comparison: Comparison, group: Group) -> Row:
     if group.learned:
         known = {gain: pair for gain, pair in GAINS.items() if _rates(group.runs, pair[1])}
         row |= {f"{gain}_{part}": text for gain, pair in known.items() for part, text in _gained(group, *pair).items()}
+    if found := reaching(group):
+        texts = map(found.text, (found.median, *(found.interval or ())))
+        row |= dict(zip(REACH, texts, strict=False)) | {"reach_seeds": str(found.reached)}
     scores = scores_of(group)
     interval = interquartile_interval([scores]) if len(scores) >= ENOUGH else (None, None)
     row |= dict(zip(IQM, map(number_text, (float(interquartile_mean(scores.ravel())), *interval)), strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ def make_run(tmp_path: Path) -> Callable[..., Path]:
         name: str | None = None,
         versions: dict[str, str] = VERSIONS,
         pictures: bool = False,
+        between: Mapping[int, Counts] | None = None,
         **config: Any,
     ) -> Path:
         task, transfer = cell.split("-")
@@ -56,7 +57,7 @@ def make_run(tmp_path: Path) -> Callable[..., Path]:
         OmegaConf.save(full, folder / ".hydra" / "config.yaml")
         OmegaConf.save(OmegaConf.create([*overrides, f"seed={seed}"]), folder / ".hydra" / "overrides.yaml")
         (folder / "run.json").write_text(json.dumps({"config_hash": config_hash, "seed": seed}))
-        result = finished_run(seed, config_hash, seen, unseen, zero, learned, versions, **words)
+        result = finished_run(seed, config_hash, seen, unseen, zero, learned, versions, between, **words)
         _write_attempts(folder / "attempts.csv", result, learned)
         if pictures:
             (folder / "figures").mkdir()

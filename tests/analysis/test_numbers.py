@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torchvision
 from omegaconf import DictConfig
@@ -13,10 +15,12 @@ from see2act.analysis import paper, runs
 from see2act.analysis.contrasts import aggregates, contrasts, verdict
 from see2act.analysis.groups import SHOWN, find
 from see2act.analysis.plots import _blocks, _failures
+from see2act.analysis.reaching import Reaching, reaching
 from see2act.analysis.runs import CONDITIONS
 from see2act.analysis.summary import progress, rows
 from see2act.experiment.results import wilson
 from see2act.modules.nanodet_weights import FILE as NANODET
+from see2act.seeding import generator
 
 MakeRun = Callable[..., Path]
 
@@ -108,6 +112,44 @@ def test_sources_with_several_configurations_are_not_put_together(make_run: Make
     make_run("edge-full", config_hash="cccccccccccc")
     (comparison,) = find(tmp_path).comparisons
     assert aggregates(comparison) == []
+
+
+def test_attempts_until_the_target_are_those_of_the_first_test_that_shows_it(make_run: MakeRun, tmp_path: Path) -> None:
+    good, bad, enough = [(9, 10), (9, 10)], [(5, 10), (6, 10)], [(8, 10), (8, 10)]
+    for seed in range(10):  # two seeds after 10 attempts, six after 20, one after all 40, and one never
+        early, late = (good if seed < 2 else bad), (bad if seed < 2 else enough if seed < 8 else bad)
+        last = bad if seed == 9 else good
+        make_run("edge-full", seed=seed, zero=bad, unseen=last, between={10: early, 20: late}, pretrain__seed="${seed}")
+        make_run("normal-full", seed=seed, zero=enough, unseen=bad, between={10: bad, 20: bad}, pretrain__seed="${seed}")
+        if seed < 5:
+            make_run("corner-full", seed=seed, zero=bad, unseen=bad, between={10: bad, 20: bad}, pretrain__seed="${seed}")
+            make_run("center-fixed", seed=seed, zero=good, learned=[], primitive__attempts=40)
+    (comparison,) = find(tmp_path).comparisons
+    found = {group.condition: reaching(group) for group in comparison.groups}
+    edge, normal, corner = (found[f"{task}, full"] for task in ("edge", "normal", "corner"))
+    assert edge is not None
+    assert normal is not None
+    assert corner is not None
+    assert edge.each == (10, 10, 20, 20, 20, 20, 20, 20, 40, math.inf)
+    assert (edge.median, edge.interval, edge.reached) == (20, (10, 40), 9)  # the second and the ninth of ten
+    assert (normal.median, normal.reached) == (0, 10)
+    assert (corner.text(corner.median), corner.interval, corner.reached) == ("> 40", None, 0)
+    assert found["center, fixed"] is None
+    by_task = {row["task"]: row for row in rows(find(tmp_path)) if row["primitive"] == "suction"}
+    reach = {task: [by_task[task][f"reach_{part}"] for part in ("median", "low", "high", "seeds")] for task in by_task}
+    assert reach["edge"] == ["20", "10", "40", "9"]
+    assert reach["corner"] == ["> 40", "", "", "0"]
+    assert reach["center"] == ["", "", "", ""]
+
+
+def test_the_interval_of_a_median_contains_it_as_often_as_it_says() -> None:
+    rng = generator("test")
+    draws = rng.exponential(50, size=(400, 10))
+    draws[draws > 100] = math.inf  # not reached
+    limits = [Reaching(tuple(draw), 100).interval for draw in draws]
+    contained = np.mean([low <= 50 * math.log(2) <= high for low, high in filter(None, limits)])
+    assert len(limits) == 400
+    assert contained == pytest.approx(0.979, abs=0.02)  # of the second and ninth of ten: 1 - 2 * 11 / 2**10
 
 
 def test_robot_minutes_add_up_and_failures_are_shares(make_run: MakeRun, tmp_path: Path) -> None:

@@ -153,6 +153,7 @@ def test_what_was_evaluated_at_the_end_alone_has_a_dash_for_the_rest(make_run: M
     assert {path.stem for path in (runs / "figures").glob("*.png")} == {
         "curves-suction",
         "protocol-suction",
+        "reach-suction",
         "transfer-suction",
         "causes-suction",
     }
