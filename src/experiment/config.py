@@ -291,12 +291,29 @@ def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = Fals
             return compose("train", [*overrides], return_hydra_config=return_hydra_config)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from None
-    except (ValueError, TypeError, AttributeError, LookupError, RecursionError) as error:  # Hydra's, of a list for a group
-        raise ConfigError(
-            f"what is typed cannot be composed ({one_line(error)}): of a group name an option, as logger=none"
-        ) from None
+    except HYDRA_FAILS as error:
+        typed = " ".join(filter(_fails_alone, overrides)) or "what is typed"
+        raise ConfigError(f"{typed} cannot be composed ({one_line(error)}): of a group name an option, as logger=none") from None
     finally:
         GlobalHydra.instance().hydra = outer
+
+
+HYDRA_FAILS = (ValueError, TypeError, AttributeError, LookupError, RecursionError)
+"""What Hydra raises without an explanation if a group is given something else than an option's name, as a list."""
+
+
+def _fails_alone(override: str) -> bool:
+    """Whether Hydra fails so on this override without the others."""
+    try:
+        with initialize_config_module("see2act.conf", version_base="1.3"):
+            compose("train", [override])
+    except (HydraException, OmegaConfBaseException):
+        return False
+    except HYDRA_FAILS:
+        return True
+    finally:
+        GlobalHydra.instance().clear()
+    return False
 
 
 def one_line(error: BaseException) -> str:

@@ -169,6 +169,7 @@ def test_keys_that_came_later_leave_the_hash_of_earlier_runs(config: Callable) -
         ("trainer.accelerator=gpuu", ["this machine has no such trainer", "gpuu"]),
         ("trainer.devices=0", ["this machine has no such trainer", "devices=0"]),
         ("logger=null", ["name an option", "logger=none"]),
+        ("precision=[0]", ["precision=[0] cannot be composed", "name an option"]),
         ("camera.target=[9,9,9]", ["sees nothing of the bin", "camera.target"]),
         ("camera.target=[0.45,0,0.54]", ["give no view", "position and target apart"]),
         ("camera.randomization.position=3", ["camera.randomization.position=3", "at most 0.05"]),
