@@ -224,6 +224,7 @@ def _module(cfg: DictConfig) -> AffordanceModule:
         angles=cfg.primitive.angles,
         backbone_lr=1e-4,
         head_lr=1e-4,
+        lr_warmup=0,
         weight_decay=0.0,
         batchnorm="frozen",
         averaging=0.0,

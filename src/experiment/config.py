@@ -169,10 +169,11 @@ class FinetuneConfig:
     batch_size: Count = MISSING
     backbone_lr: NotNegative = MISSING
     head_lr: NotNegative = MISSING
+    lr_warmup: NotNegativeInt = MISSING
     weight_decay: NotNegative = MISSING
     batchnorm: Annotated[str, OneOf("frozen", "batch")] = MISSING
     averaging: Annotated[float, Field(ge=0, lt=1)] = MISSING
-    averaging_warmup: Annotated[int, Field(ge=0)] = MISSING
+    averaging_warmup: NotNegativeInt = MISSING
     logit_scale: Positive = MISSING
     temperature: NotNegative = MISSING
     episode_attempts: Count = MISSING
@@ -293,7 +294,9 @@ def composed_as_typed(overrides: Sequence[str], return_hydra_config: bool = Fals
         raise ConfigError(one_line(error)) from None
     except HYDRA_FAILS as error:
         typed = " ".join(filter(_fails_alone, overrides)) or "what is typed"
-        raise ConfigError(f"{typed} cannot be composed ({one_line(error)}): of a group name an option, as logger=none") from None
+        raise ConfigError(
+            f"{typed} cannot be composed ({one_line(error)}): of a group name an option, as logger=none"
+        ) from None
     finally:
         GlobalHydra.instance().hydra = outer
 

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, UInt8
+from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -85,6 +86,8 @@ class AffordanceModule(L.LightningModule):
         angles: Number of rotations: 16 for grasping, 1 for suction.
         backbone_lr: Adam's learning rate of the backbone.
         head_lr: Adam's learning rate of the head.
+        lr_warmup: Learning steps over which both rates rise from nearly zero. Adam's first steps are as large as all others,
+            though they are estimated from very few attempts, and could undo what was transferred. 0 starts with the full rates.
         weight_decay: Weight decay of Adam.
         batchnorm: ``frozen`` uses the running statistics; ``batch`` uses those of each replay batch.
         averaging: Decay per learning step of the moving average of parameters and BatchNorm statistics. The averaged network
@@ -102,6 +105,7 @@ class AffordanceModule(L.LightningModule):
         angles: int,
         backbone_lr: float,
         head_lr: float,
+        lr_warmup: int,
         weight_decay: float,
         batchnorm: str,
         averaging: float,
@@ -113,6 +117,7 @@ class AffordanceModule(L.LightningModule):
         self.average = AveragedModel(network, multi_avg_fn=_warming_up(averaging, averaging_warmup), use_buffers=True)
         self.rotations = Rotations(shape, angles, network.stride, network.receptive_radius)
         self._rates = {"backbone": backbone_lr, "head": head_lr}
+        self._lr_warmup = lr_warmup
         self._weight_decay = weight_decay
         self._frozen = batchnorm == "frozen"
         self.train()
@@ -165,9 +170,11 @@ class AffordanceModule(L.LightningModule):
             freeze(self.network)
         return self
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
+    def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
         groups = [{"params": getattr(self.network, part).parameters(), "lr": lr} for part, lr in self._rates.items()]
-        return torch.optim.Adam(groups, weight_decay=self._weight_decay)
+        optimizer = torch.optim.Adam(groups, weight_decay=self._weight_decay)
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: min(1.0, (step + 1) / max(1, self._lr_warmup)))
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
 Parameters = tuple[Tensor, ...] | list[Tensor]

@@ -12,6 +12,7 @@ def make_module(network: PixelNetwork, shape: tuple[int, int] = (144, 144), angl
     settings = {
         "backbone_lr": 1e-4,
         "head_lr": 1e-4,
+        "lr_warmup": 0,
         "weight_decay": 0.0,
         "batchnorm": "frozen",
         "averaging": 0.9,

@@ -140,7 +140,7 @@ def test_learning_moves_each_tried_pixel_towards_its_outcome() -> None:
 
 def test_backbone_and_head_have_their_own_rates() -> None:
     module = make_module(FCN7(4), backbone_lr=1e-5, head_lr=1e-3)
-    groups = module.configure_optimizers().param_groups
+    groups = module.configure_optimizers()["optimizer"].param_groups
     assert [group["lr"] for group in groups] == [1e-5, 1e-3]
     assert sum(len(group["params"]) for group in groups) == len(list(module.network.parameters()))
 
@@ -160,6 +160,18 @@ def test_the_average_acts_and_the_last_parameters_learn() -> None:
     module.training_step(_batch(1), 0)["loss"].backward()
     assert all(p.grad is not None for p in module.network.parameters())
     assert all(p.grad is None for p in module.average.parameters())
+
+
+def test_the_rates_rise_over_the_first_steps() -> None:
+    configured = make_module(FCN7(4), backbone_lr=1e-5, head_lr=1e-3, lr_warmup=4).configure_optimizers()
+    optimizer, schedule = configured["optimizer"], configured["lr_scheduler"]["scheduler"]
+    assert configured["lr_scheduler"]["interval"] == "step"
+    rates = []
+    for _ in range(6):
+        rates.append([group["lr"] for group in optimizer.param_groups])
+        optimizer.step()
+        schedule.step()
+    assert rates == [[pytest.approx(share * rate) for rate in (1e-5, 1e-3)] for share in (0.25, 0.5, 0.75, 1, 1, 1)]
 
 
 def test_the_average_is_short_at_first() -> None:

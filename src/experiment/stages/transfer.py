@@ -48,6 +48,7 @@ def affordance_model(
         angles=cfg.primitive.angles,
         backbone_lr=cfg.finetune.backbone_lr,
         head_lr=cfg.finetune.head_lr,
+        lr_warmup=cfg.finetune.lr_warmup,
         weight_decay=cfg.finetune.weight_decay,
         batchnorm=cfg.finetune.batchnorm,
         averaging=cfg.finetune.averaging,
