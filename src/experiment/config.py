@@ -104,6 +104,8 @@ class PrimitiveConfig:
     end_effector: dict[str, Any] = field(default_factory=dict)
     lr: NotNegative = MISSING
     """Learning rate of fine-tuning, for networks without rates of their own in ``model.rates``."""
+    lr_warmup: NotNegativeInt = MISSING
+    """Learning steps over which the rates of fine-tuning rise."""
     attempts: NotNegativeInt = MISSING
     """Fine-tuning attempts of the main job."""
     short_attempts: NotNegativeInt = MISSING
@@ -111,6 +113,7 @@ class PrimitiveConfig:
     benchmark_attempts: NotNegativeInt = MISSING
     """Of a run of the benchmark."""
     evaluate_at: list[NotNegativeInt] = field(default_factory=list)
+    benchmark_evaluate_at: list[NotNegativeInt] = field(default_factory=list)
     rotation_tolerance: NotNegative = MISSING
     """Radians by which a scene may be turned about a pick that stays as good."""
 
