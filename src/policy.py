@@ -43,10 +43,10 @@ class _Failure:
 
 @dataclass
 class Policy:
-    """Picks the best pixel, but avoids a pixel that has just failed as long as the scene there is unchanged.
+    """Picks the best pixel, but avoids a pixel that has failed as long as the scene there is unchanged.
 
-    A deterministic argmax repeats a failed pick forever if the pick changed nothing. With ``suppress`` the policy avoids a
-    small neighbourhood of each failed pick until the heights around it change or a pick succeeds.
+    A deterministic argmax repeats a failed pick forever if the pick changed nothing. With ``suppress`` the policy avoids the
+    neighbourhood of each failed pick until the heights around it change.
 
     Args:
         name: ``suppress`` or ``argmax``.
@@ -64,7 +64,7 @@ class Policy:
     name: str
     suppress: bool
     pixel: float
-    radius: NotNegative = 0.01
+    radius: NotNegative = 0.02
     angles: Annotated[int, Ge(0)] = 2
     changed_height: NotNegative = 0.008
     changed_share: NotNegative = 0.1
@@ -113,9 +113,7 @@ class Policy:
 
     def remember(self, choice: Choice, heightmap: Heightmap, success: bool) -> None:
         """Remember the outcome of an attempt that was chosen on ``heightmap``."""
-        if success:
-            self._failures.clear()
-        elif self.suppress:
+        if self.suppress and not success:
             self._failures.append(_Failure(choice, self._patch(heightmap, choice).copy()))
 
     def forget(self) -> None:
