@@ -46,13 +46,14 @@ class Policy:
     """Picks the best pixel, but avoids a pixel that has failed as long as the scene there is unchanged.
 
     A deterministic argmax repeats a failed pick forever if the pick changed nothing. With ``suppress`` the policy avoids the
-    neighbourhood of each failed pick until the heights around it change.
+    neighbourhood of each failed pick until the heights around it change, or until a pick succeeds.
 
     Args:
         name: ``suppress`` or ``argmax``.
         suppress: Whether failures are remembered at all.
         pixel: Metres per pixel of the heightmap.
         radius: Radius around a failed pick that is avoided, metres.
+        until_success: Forget all failed picks when a pick succeeds. Fingers that fail have often moved the object a little.
         angles: Number of neighbouring angles to each side (of the robot's 16) that are avoided too.
         changed_height: Height difference above which a cell counts as changed, metres.
         changed_share: Share of changed cells around the pick above which the scene there counts as changed.
@@ -64,7 +65,8 @@ class Policy:
     name: str
     suppress: bool
     pixel: float
-    radius: NotNegative = 0.02
+    radius: NotNegative = 0.01
+    until_success: bool = False
     angles: Annotated[int, Ge(0)] = 2
     changed_height: NotNegative = 0.008
     changed_share: NotNegative = 0.1
@@ -113,7 +115,9 @@ class Policy:
 
     def remember(self, choice: Choice, heightmap: Heightmap, success: bool) -> None:
         """Remember the outcome of an attempt that was chosen on ``heightmap``."""
-        if self.suppress and not success:
+        if success and self.until_success:
+            self._failures.clear()
+        elif self.suppress and not success:
             self._failures.append(_Failure(choice, self._patch(heightmap, choice).copy()))
 
     def forget(self) -> None:

@@ -92,6 +92,14 @@ def test_a_success_elsewhere_leaves_the_memory(flat: Heightmap, logits: np.ndarr
     assert policy.choose(logits, flat) == second != first
 
 
+def test_a_success_can_clear_the_memory(flat: Heightmap, logits: np.ndarray) -> None:
+    policy = Policy("suppress", True, 0.0025, until_success=True)
+    first = policy.choose(logits, flat)
+    policy.remember(first, flat, success=False)
+    policy.remember(policy.choose(logits, flat), flat, success=True)
+    assert policy.choose(logits, flat) == first
+
+
 def test_temperature_draws_in_proportion_to_the_softmax(flat: Heightmap) -> None:
     maps = np.full((1, 40, 40), -50.0)
     maps[0, 1, 1], maps[0, 30, 30] = logit(0.9), logit(0.88)

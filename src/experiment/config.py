@@ -114,6 +114,10 @@ class PrimitiveConfig:
     """Of a run of the benchmark."""
     evaluate_at: list[NotNegativeInt] = field(default_factory=list)
     benchmark_evaluate_at: list[NotNegativeInt] = field(default_factory=list)
+    avoided_radius: NotNegative = MISSING
+    """Metres around a failed pick that ``policy=suppress`` avoids."""
+    avoided_until_success: bool = MISSING
+    """Whether it forgets failed picks when a pick succeeds."""
     rotation_tolerance: NotNegative = MISSING
     """Radians by which a scene may be turned about a pick that stays as good."""
 
