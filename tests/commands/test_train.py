@@ -242,4 +242,4 @@ def test_a_report_reads_what_a_run_leaves(run: tuple[Path, str], tmp_path: Path)
         rows = [row for row in csv.DictReader(file) if row["config_hash"]]
     assert [(row["task"], row["transfer"], row["after_seen_attempts"]) for row in rows] == [("foreground", "full", "2")]
     assert not any(words in done.stdout for words in ("Left out", "cannot be read", "unknown"))
-    assert len(list((tmp_path / "runs" / "figures").glob("*.png"))) == 5  # there is nothing to compare with
+    assert len(list((tmp_path / "runs" / "figures").glob("*.png"))) == 6  # there is nothing to compare with
