@@ -60,6 +60,10 @@ def _scores(of_seed: np.ndarray, share: float, rng: np.random.Generator) -> np.n
     return scores
 
 
+def _by_model(scores: np.ndarray, of_seed: np.ndarray) -> list[np.ndarray]:
+    return [scores[of_seed == k] for k in np.unique(of_seed)]
+
+
 def _t_over_seeds(scores: np.ndarray, of_seed: np.ndarray, rng: np.random.Generator) -> Interval:
     interval = t_interval(scores.tolist())
     assert interval is not None
@@ -67,12 +71,12 @@ def _t_over_seeds(scores: np.ndarray, of_seed: np.ndarray, rng: np.random.Genera
 
 
 def _t_over_models(scores: np.ndarray, of_seed: np.ndarray, rng: np.random.Generator) -> Interval:
-    return _t_over_seeds(np.array([scores[of_seed == k].mean() for k in np.unique(of_seed)]), of_seed, rng)
+    return _t_over_seeds(np.array([group.mean() for group in _by_model(scores, of_seed)]), of_seed, rng)
 
 
 def _bootstrap(scores: np.ndarray, of_seed: np.ndarray, rng: np.random.Generator) -> Interval:
     """Models are drawn with replacement, and within each the seeds that have it."""
-    groups = [scores[of_seed == k] for k in np.unique(of_seed)]
+    groups = _by_model(scores, of_seed)
     sums, counts = np.zeros(RESAMPLES), np.zeros(RESAMPLES)
     drawn = rng.integers(len(groups), size=(RESAMPLES, len(groups)))
     for column in drawn.T:
@@ -86,7 +90,7 @@ def _bootstrap(scores: np.ndarray, of_seed: np.ndarray, rng: np.random.Generator
 
 def _components(scores: np.ndarray, of_seed: np.ndarray, rng: np.random.Generator) -> Interval:
     """Variance components of a one-way random effects model (analysis of variance), with Satterthwaite's degrees of freedom."""
-    groups = [scores[of_seed == k] for k in np.unique(of_seed)]
+    groups = _by_model(scores, of_seed)
     sizes = np.array([len(group) for group in groups])
     total, between_df, within_df = sizes.sum(), len(groups) - 1, sizes.sum() - len(groups)
     means = np.array([group.mean() for group in groups])
