@@ -24,8 +24,11 @@ PARTS, RESOLUTION = 16, 100_000
 """Maximum number of convex parts per body, and number of voxels that V-HACD uses: a second or two per body."""
 EMPTY = ("168",)
 """Those of PyBullet's thousand objects whose files have no valid vertex."""
-MOST_PARTS = 100
-"""Maximum number of convex parts of an object. Contacts are computed between all parts of neighbouring objects."""
+MOST_PARTS = 128
+"""Maximum number of convex parts of an object. Contacts are computed between all parts of neighbouring objects.
+
+PyBullet's procedural objects have up to 127.
+"""
 SMALLEST, LARGEST = 0.01, 0.15
 """Bounds for the sides of an object's bounding box, metres: the width of a finger, and what can lie flat among ten objects."""
 

@@ -48,6 +48,12 @@ def test_their_shapes_fit_the_gripper_and_are_convex_parts(urdfs: MeshSet) -> No
         np.testing.assert_allclose(centre, 0, atol=1e-6)
 
 
+def test_those_of_the_most_parts_are_shapes_too(urdfs: MeshSet) -> None:
+    parts = {name: len(urdfs.shape(name).parts) for name in ("urdf360", "urdf503", "urdf777", "urdf782", "urdf858", "urdf123")}
+    assert min(parts.values()) > 100
+    assert max(parts.values()) == parts["urdf782"] == 127
+
+
 def test_a_robot_picks_among_them(make_robot: Callable[..., SimulatedRobot]) -> None:
     robot = make_robot("objects=random_urdfs", "primitive=suction")
     robot.reset(5, "unseen")
