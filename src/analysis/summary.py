@@ -230,34 +230,3 @@ def write_csv(lines: list[Row], path: Path, columns: Sequence[str] = COLUMNS) ->
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
         writer.writerows(lines)
-
-
-def write_markdown(lines: list[Row], path: Path) -> None:
-    """The columns that a reader looks for first."""
-    text = ["| primitive | source | transfer | configuration | seeds | paper, unseen | " + " | ".join(SHORT) + " | note |"]
-    text.append("|" + "---|" * (text[0].count("|") - 1))
-    for row in lines:
-        protocol = f"protocol {row['protocol']}," if row["protocol"] else ""
-        hashed = f"`{row['config_hash']}`" if row["config_hash"] else ""
-        configuration = " ".join(filter(None, (row["model"], protocol, hashed, row["differs"])))
-        cells = [row["primitive"], row["task"], row["transfer"], configuration, row["seeds"], row["paper_unseen"]]
-        cells += [_cell(row, measure) for measure in SHORT.values()] + [row["note"]]
-        text.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    text += ["", "Mean over seeds [95 % t interval] (successes/attempts)."]
-    with replacing(path) as partial:
-        partial.write_text("\n".join(text) + "\n")
-
-
-SHORT = {
-    "after, unseen": "after_unseen",
-    "after, seen": "after_seen",
-    "zero-shot, unseen": "zero_shot_unseen",
-    "zero-shot, seen": "zero_shot_seen",
-}
-
-
-def _cell(row: Row, measure: str) -> str:
-    mean, low, high, successes, attempts, *_ = (row[f"{measure}_{part}"] for part in PARTS)
-    if not mean:
-        return ""
-    return f"{mean} {f'[{low}, {high}] ' if low else ''}({successes}/{attempts})"

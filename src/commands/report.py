@@ -63,12 +63,12 @@ def report(folder: Path) -> Found:
         raise UserError(f"{folder} holds no runs: {HINT}, or make one with `python train.py`")
     from tqdm import tqdm
 
-    from see2act.analysis import page, plots, summary  # matplotlib takes a second, which a refusal should not
+    from see2act.analysis import markdown, page, plots, summary  # matplotlib takes a second, which a refusal should not
 
     rows = summary.rows(found)
     summary.write_csv(rows, folder / "table.csv")
-    summary.write_markdown(rows, folder / "table.md")
     steps = [line for comparison in found.comparisons for line in summary.progress(comparison)]
+    markdown.write(rows, steps, folder / "table.md")
     summary.write_csv(steps, folder / "progress.csv", summary.PROGRESS_COLUMNS)
     pictures: dict[str, list[plots.Picture]] = {}
     with tqdm(total=len(found.comparisons) * len(plots.FIGURES), desc="draw", disable=None) as bar:

@@ -454,6 +454,30 @@ def test_the_page_shows_the_numbers_of_the_table(sweep: Path) -> None:
     assert f"| 0.71 | {rows[0]['after_unseen_mean']} [" in (sweep / "table.md").read_text()
 
 
+def test_the_markdown_has_a_table_of_success_on_the_way(sweep: Path) -> None:
+    _, table, *_ = (sweep / "table.md").read_text().split("## Success on unseen objects on the way: suction")
+    head, _, *lines = [line.removeprefix("| ").removesuffix(" |").split(" | ") for line in table.splitlines() if "|" in line]
+    with (sweep / "progress.csv").open() as file:
+        steps = [row for row in csv.DictReader(file) if row["primitive"] == "suction" and row["split"] == "unseen"]
+    groups = {row["config_hash"]: row for row in _table(sweep) if row["config_hash"]}
+    assert len(lines) == len(groups) > 1
+    for line in lines:
+        cells = dict(zip(head, line, strict=True))
+        group = groups[cells["configuration"].split("`")[1]]
+        mine = [row for row in steps if row["config_hash"] == group["config_hash"]]
+        assert len(mine) > (group["transfer"] != "fixed")
+        for row in mine:
+            cell = cells["before" if row["step"] == "0" else f"after {row['step']}"]
+            assert cell == f"{row['mean']} [{row['low']}, {row['high']}] ({row['successes']}/{row['attempts']})".replace(
+                " [, ]", ""
+            )
+        assert cells["while learning"].split(" ")[0] == group["learning_mean"]
+        reached = f" ({group['reach_seeds']} of {len(group['seeds'].split())})" if group["reach_median"] else ""
+        assert cells["attempts until 0.8"].startswith(group["reach_median"])
+        assert cells["attempts until 0.8"].endswith(reached)
+    assert any(group["reach_median"] for group in groups.values())
+
+
 def test_the_same_runs_give_the_same_files(sweep: Path) -> None:
     files = [sweep / "report.html", sweep / "table.csv", *sorted((sweep / "figures").iterdir())]
     before = [file.read_bytes() for file in files]

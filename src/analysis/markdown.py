@@ -1,0 +1,107 @@
+"""The tables that a reader looks for first, in Markdown: to paste into a README or an issue."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from see2act.analysis.reaching import TARGET
+from see2act.analysis.summary import PARTS, Row
+from see2act.files import replacing
+
+MEASURES = {
+    "after, unseen": "after_unseen",
+    "after, seen": "after_seen",
+    "zero-shot, unseen": "zero_shot_unseen",
+    "zero-shot, seen": "zero_shot_seen",
+}
+"""Heads of columns, and what stands below."""
+EXPLANATION = "Mean over seeds [95 % t interval] (successes/attempts)."
+ON_THE_WAY = (
+    f"After how many attempts success on unseen objects is {TARGET}: median over seeds [its exact 95 % interval] (seeds that "
+    "reached it)."
+)
+
+
+def write(rows: list[Row], steps: list[Row], path: Path) -> None:
+    """A table of all groups, and of each comparison one of its groups' success on unseen objects on the way.
+
+    Args:
+        rows: Of ``table.csv``.
+        steps: Of ``progress.csv``.
+        path: The file.
+    """
+    text = [*_table(rows), "", EXPLANATION]
+    for primitive, protocol in dict.fromkeys((step["primitive"], step["protocol"]) for step in steps):
+        name = f"{primitive}, protocol {protocol}" if protocol else primitive
+        mine = [row for row in rows if (row["primitive"], row["protocol"]) == (primitive, protocol) and row["config_hash"]]
+        unseen = [
+            step for step in steps if (step["primitive"], step["protocol"], step["split"]) == (primitive, protocol, "unseen")
+        ]
+        heading, words = f"## Success on unseen objects on the way: {name}", f"{EXPLANATION} {ON_THE_WAY}"
+        text += ["", heading, "", *_progress(mine, unseen), "", words]
+    with replacing(path) as partial:
+        partial.write_text("\n".join(text) + "\n")
+
+
+def _table(rows: list[Row]) -> list[str]:
+    return [
+        *_head(["primitive", "source", "transfer", "configuration", "seeds", "paper, unseen", *MEASURES, "note"]),
+        *(
+            _line([row["primitive"], *_group(row), row["seeds"], row["paper_unseen"], *_measured(row), row["note"]])
+            for row in rows
+        ),
+    ]
+
+
+def _progress(rows: list[Row], steps: list[Row]) -> list[str]:
+    cells = {(step["config_hash"], int(step["step"])): _rate(step) for step in steps}
+    at = sorted({step for _, step in cells})
+    heads = ["before" if step == 0 else f"after {step}" for step in at]
+    return [
+        *_head(["source", "transfer", "configuration", *heads, "while learning", f"attempts until {TARGET}"]),
+        *(
+            _line(
+                [
+                    *_group(row),
+                    *(cells.get((row["config_hash"], step), "") for step in at),
+                    _rate(row, "learning_"),
+                    _reach(row),
+                ]
+            )
+            for row in rows
+        ),
+    ]
+
+
+def _group(row: Row) -> list[str]:
+    """Source, transfer and configuration."""
+    protocol = f"protocol {row['protocol']}," if row["protocol"] else ""
+    hashed = f"`{row['config_hash']}`" if row["config_hash"] else ""
+    return [row["task"], row["transfer"], " ".join(filter(None, (row["model"], protocol, hashed, row["differs"])))]
+
+
+def _measured(row: Row) -> list[str]:
+    return [_rate(row, f"{measure}_") for measure in MEASURES.values()]
+
+
+def _rate(row: Row, prefix: str = "") -> str:
+    mean, low, high, successes, attempts, *_ = (row[f"{prefix}{part}"] for part in PARTS)
+    if not mean:
+        return ""
+    return f"{mean} {f'[{low}, {high}] ' if low else ''}({successes}/{attempts})"
+
+
+def _reach(row: Row) -> str:
+    if not row["reach_median"]:
+        return ""
+    interval = f" [{row['reach_low']}, {row['reach_high']}]" if row["reach_low"] else ""
+    return f"{row['reach_median']}{interval} ({row['reach_seeds']} of {len(row['seeds'].split())})"
+
+
+def _head(cells: list[str]) -> list[str]:
+    return [_line(cells), "|" + "---|" * len(cells)]
+
+
+def _line(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
