@@ -58,6 +58,8 @@ class Failures:
 def failures(failed: Failures, affordances: Affordances, robot: Robot, title: str, path: Path) -> None:
     """Failed attempts sorted by cause, a row each: the heightmap with the pick, and the heatmap of its angle.
 
+    Colours of a heatmap go from 0 to its best score, so panels are not to be compared by colour.
+
     Args:
         failed: At least one.
         affordances: The model that chose them.
@@ -76,8 +78,8 @@ def failures(failed: Failures, affordances: Affordances, robot: Robot, title: st
             caption = f"{cause}, {failed.counts[cause]} of {failed.counts.total()} failures" if k == 0 else ""
             _picture(axes[2 * k], heightmap, one.pick, robot, caption)
             heatmap = expit(affordances(heightmap.color, heightmap.height)[choice.angle])
-            axes[2 * k + 1].imshow(heatmap, cmap="inferno", vmin=0, vmax=1)
-            axes[2 * k + 1].set_title(f"predicted {choice.score:.2f}, best {heatmap.max():.2f}", fontsize=9)
+            axes[2 * k + 1].imshow(heatmap, cmap="inferno", vmin=0)  # up to its own best, since all may be near 0 in the end
+            axes[2 * k + 1].set_title(f"predicted {choice.score:.2g}, best {heatmap.max():.2g}", fontsize=9)
     figure.suptitle(title, fontsize=10)
     save(figure, path)
 
