@@ -55,19 +55,21 @@ def _tables(path: Path, after: str, before: str = "\n## ", model: str = "") -> I
 NETWORKS = {
     **{"vision_tasks": "fcn7", "transfer_parts": "fcn7", "off_the_shelf": "rpn_r50_fpn"},
     **{"off_the_shelf_small": "nanodet_g", "off_the_shelf_small_real": "nanodet_g"},
-    "off_the_shelf_small_floor": "nanodet_g",
+    **{"off_the_shelf_small_floor": "nanodet_g", "robustness/random_urdfs": "fcn7"},
 }
 """Of the experiments whose tables do not name one."""
+SETTINGS = {"robustness/random_urdfs": "robustness objects=random_urdfs"}
+"""What stands in the heading for a folder that is not named like its experiment."""
 TABLES = {
-    experiment: [*_tables(RESULTS.with_suffix(".md"), f"(`experiment={experiment}`)", model=model)]
-    for experiment, model in NETWORKS.items()
+    folder: [*_tables(RESULTS.with_suffix(".md"), f"(`experiment={SETTINGS.get(folder, folder)}`)", model=model)]
+    for folder, model in NETWORKS.items()
 }
 
 
 LEAST = {
     **{"vision_tasks": 80, "transfer_parts": 30, "off_the_shelf": 10},
     **{"off_the_shelf_small": 55, "off_the_shelf_small_real": 18},
-    "off_the_shelf_small_floor": 14,
+    **{"off_the_shelf_small_floor": 14, "robustness/random_urdfs": 12},
 }
 """Cells that a page with all of its tables has."""
 
