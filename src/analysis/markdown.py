@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from see2act.analysis.reaching import TARGET
@@ -32,12 +31,10 @@ def write(rows: list[Row], steps: list[Row], path: Path) -> None:
         path: The file.
     """
     text = [*_table(rows), "", EXPLANATION]
-    for primitive, protocol in dict.fromkeys((step["primitive"], step["protocol"]) for step in steps):
-        name = f"{primitive}, protocol {protocol}" if protocol else primitive
-        mine = [row for row in rows if (row["primitive"], row["protocol"]) == (primitive, protocol) and row["config_hash"]]
-        unseen = [
-            step for step in steps if (step["primitive"], step["protocol"], step["split"]) == (primitive, protocol, "unseen")
-        ]
+    for comparison in dict.fromkeys(map(_comparison, steps)):
+        name = ", protocol ".join(filter(None, comparison))
+        mine = [row for row in rows if _comparison(row) == comparison and row["config_hash"]]
+        unseen = [step for step in steps if _comparison(step) == comparison and step["split"] == "unseen"]
         heading, words = f"## Success on unseen objects on the way: {name}", f"{EXPLANATION} {ON_THE_WAY}"
         text += ["", heading, "", *_progress(mine, unseen), "", words]
     with replacing(path) as partial:
@@ -45,33 +42,27 @@ def write(rows: list[Row], steps: list[Row], path: Path) -> None:
 
 
 def _table(rows: list[Row]) -> list[str]:
-    return [
-        *_head(["primitive", "source", "transfer", "configuration", "seeds", "paper, unseen", *MEASURES, "note"]),
-        *(
-            _line([row["primitive"], *_group(row), row["seeds"], row["paper_unseen"], *_measured(row), row["note"]])
-            for row in rows
-        ),
-    ]
+    text = _head(["primitive", "source", "transfer", "configuration", "seeds", "paper, unseen", *MEASURES, "note"])
+    for row in rows:
+        measured = [_rate(row, f"{measure}_") for measure in MEASURES.values()]
+        text.append(_line([row["primitive"], *_group(row), row["seeds"], row["paper_unseen"], *measured, row["note"]]))
+    return text
 
 
 def _progress(rows: list[Row], steps: list[Row]) -> list[str]:
     cells = {(step["config_hash"], int(step["step"])): _rate(step) for step in steps}
     at = sorted({step for _, step in cells})
     heads = ["before" if step == 0 else f"after {step}" for step in at]
-    return [
-        *_head(["source", "transfer", "configuration", *heads, "while learning", f"attempts until {TARGET}"]),
-        *(
-            _line(
-                [
-                    *_group(row),
-                    *(cells.get((row["config_hash"], step), "") for step in at),
-                    _rate(row, "learning_"),
-                    _reach(row),
-                ]
-            )
-            for row in rows
-        ),
-    ]
+    text = _head(["source", "transfer", "configuration", *heads, "while learning", f"attempts until {TARGET}"])
+    for row in rows:
+        tested = [cells.get((row["config_hash"], step), "") for step in at]
+        text.append(_line([*_group(row), *tested, _rate(row, "learning_"), _reach(row)]))
+    return text
+
+
+def _comparison(row: Row) -> tuple[str, str]:
+    """What rows of one comparison share."""
+    return row["primitive"], row["protocol"]
 
 
 def _group(row: Row) -> list[str]:
@@ -79,10 +70,6 @@ def _group(row: Row) -> list[str]:
     protocol = f"protocol {row['protocol']}," if row["protocol"] else ""
     hashed = f"`{row['config_hash']}`" if row["config_hash"] else ""
     return [row["task"], row["transfer"], " ".join(filter(None, (row["model"], protocol, hashed, row["differs"])))]
-
-
-def _measured(row: Row) -> list[str]:
-    return [_rate(row, f"{measure}_") for measure in MEASURES.values()]
 
 
 def _rate(row: Row, prefix: str = "") -> str:
@@ -103,5 +90,5 @@ def _head(cells: list[str]) -> list[str]:
     return [_line(cells), "|" + "---|" * len(cells)]
 
 
-def _line(cells: Iterable[str]) -> str:
+def _line(cells: list[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
