@@ -19,6 +19,10 @@ from see2act.robot.workspace import Workspace
 from see2act.seeding import generator, seed_for
 
 Decision = tuple[Choice, Pick]
+RECENT = 20
+"""Attempts over which success while learning is followed."""
+ENOUGH = 0.25
+"""Success rate of recent attempts from which on draws are as narrow as configured."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,7 @@ class InteractiveDataModule(L.LightningDataModule):
         batch_size: Attempts per learning step.
         updates: Learning steps per attempt.
         temperature: Of the softmax over scores that picks are drawn from; 0 takes the best.
+        widening: Factor on the temperature where all recent attempts failed: see :attr:`temperature`.
         episode_attempts: Attempts after which a bin that is not yet empty is given up.
         scenes: ``evaluate`` for the benchmark's scenes, ``develop`` for others, to choose settings by.
         records: Where attempts are kept that cannot be made again; None if they can.
@@ -77,6 +82,7 @@ class InteractiveDataModule(L.LightningDataModule):
         batch_size: int,
         updates: int,
         temperature: float,
+        widening: float = 1.0,
         episode_attempts: int,
         scenes: str = "evaluate",
         records: Records | None = None,
@@ -84,7 +90,7 @@ class InteractiveDataModule(L.LightningDataModule):
         super().__init__()
         self._robots, self._workspace, self.policy, self.replay = robots, workspace, policy, replay
         self._seed, self._batch_size, self._updates = seed, batch_size, updates
-        self._temperature, self._episode_attempts = temperature, episode_attempts
+        self._temperature, self._widening, self._episode_attempts = temperature, widening, episode_attempts
         self._scenes = "scene/finetune" if scenes == "evaluate" else f"scene/{scenes}/finetune"
         self._explore = generator("explore", seed)
         self._bins = [_Bin(policy.fresh()) for _ in range(len(robots))]
@@ -100,6 +106,18 @@ class InteractiveDataModule(L.LightningDataModule):
         """Whether a robot starts its next attempt with a new scene, so that the fewest picks would have to be repeated; after
         each attempt if none can be repeated."""
         return self._records is not None or any(bin.over for bin in self._bins)
+
+    @property
+    def temperature(self) -> float:
+        """Of the next draw, higher while picks keep failing: a model that draws the same wrong kind of place again and again
+        never learns what else would work.
+
+        With s the success rate of the last ``RECENT`` attempts, of which those yet to come count as half a success, it is
+        ``temperature`` times 1 + (``widening`` - 1) (1 - s / ``ENOUGH``) where s is below ``ENOUGH``.
+        """
+        made = min(len(self.replay), RECENT) / RECENT
+        success = (1 - made) / 2 + (made * self.replay.success(RECENT) if made else 0.0)
+        return self._temperature * (1 + (self._widening - 1) * max(0.0, 1 - success / ENOUGH))
 
     def start_episodes(self) -> None:
         """New scenes where an episode is over."""
@@ -129,7 +147,7 @@ class InteractiveDataModule(L.LightningDataModule):
         if self._recorded:
             return [(self._recorded.choice, self._recorded.pick)]
         return [
-            decide(observation, self._workspace, affordances, bin.policy, self._temperature, self._explore)
+            decide(observation, self._workspace, affordances, bin.policy, self.temperature, self._explore)
             for bin, observation in zip(self._bins, observations, strict=True)
         ]
 

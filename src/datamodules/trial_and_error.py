@@ -12,12 +12,9 @@ from typing import Any
 import lightning as L
 from tqdm import tqdm
 
-from see2act.datamodules.interactive import InteractiveDataModule, TrainingAttempt
+from see2act.datamodules.interactive import RECENT, InteractiveDataModule, TrainingAttempt
 from see2act.files import replacing
 from see2act.modules.affordance import AffordanceModule, AttemptBatch
-
-RECENT = 20
-"""Attempts over which the logged success rate is taken."""
 
 
 class TrialAndError(L.Callback):

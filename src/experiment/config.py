@@ -29,6 +29,7 @@ Processes = Annotated[int, Field(ge=1, le=1024)]
 """Or threads."""
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Factor = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 
 
 def OneOf(*words: str) -> AfterValidator:
@@ -118,6 +119,8 @@ class PrimitiveConfig:
     """Metres around a failed pick that ``policy=suppress`` avoids."""
     avoided_until_success: bool = MISSING
     """Whether it forgets failed picks when a pick succeeds."""
+    widening: Factor = MISSING
+    """By which the temperature of draws rises where all recent attempts failed."""
     rotation_tolerance: NotNegative = MISSING
     """Radians by which a scene may be turned about a pick that stays as good."""
 
@@ -183,6 +186,7 @@ class FinetuneConfig:
     averaging_warmup: NotNegativeInt = MISSING
     logit_scale: Positive = MISSING
     temperature: NotNegative = MISSING
+    widening: Factor = MISSING
     episode_attempts: Count = MISSING
     replay: ReplayConfig = field(default_factory=ReplayConfig)
 

@@ -32,7 +32,7 @@ MODEL = Path("checkpoints", "model.safetensors")
 LATER: dict[str, Any] = {
     **{"task.affordance": False, "collect.folder": None, "evaluate.argmax": True},
     **{"camera.randomize": False, "robot.latency": 0.0},
-    **{"finetune.averaging_warmup": 0, "finetune.lr_warmup": 0},
+    **{"finetune.averaging_warmup": 0, "finetune.lr_warmup": 0, "finetune.widening": 1.0},
 }
 """Keys that came later, with the value that leaves a run as it was before them: then they do not change its hash."""
 CHOICES = ("task", "transfer", "primitive", "model", "objects", "workspace", "camera", "policy")

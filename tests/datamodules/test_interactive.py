@@ -130,6 +130,34 @@ def test_an_episode_ends_when_the_bin_is_empty_or_its_attempts_are_spent(make: C
     assert any(sum(successes) < 3 for successes in episodes)
 
 
+def test_draws_widen_while_recent_attempts_fail(make: Callable[..., InteractiveDataModule]) -> None:
+    data = make(temperature=0.02, widening=5.0)
+    cell = np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32), 0, 0, 0
+    assert data.temperature == pytest.approx(0.02)
+    for _ in range(10):
+        data.replay.add(*cell, False)
+    assert data.temperature == pytest.approx(0.02)  # ten are yet to come, and may succeed
+    for _ in range(10):
+        data.replay.add(*cell, False)
+    assert data.temperature == pytest.approx(0.1)
+    for _ in range(2):
+        data.replay.add(*cell, True)
+    assert data.temperature == pytest.approx(0.02 * 3.4)  # s = 0.1
+    for _ in range(3):
+        data.replay.add(*cell, True)
+    assert data.temperature == pytest.approx(0.02)  # one in four
+    for _ in range(20):
+        data.replay.add(*cell, False)
+    assert data.temperature == pytest.approx(0.1)  # old successes do not count
+
+
+def test_temperature_zero_stays_zero_whatever_fails(make: Callable[..., InteractiveDataModule]) -> None:
+    data = make(temperature=0.0, widening=5.0)
+    for _ in range(20):
+        data.replay.add(np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32), 0, 0, 0, False)
+    assert data.temperature == 0.0
+
+
 def test_what_failed_is_left_alone_within_an_episode_and_no_longer(make: Callable[..., InteractiveDataModule]) -> None:
     data = make(temperature=0.0)
     policy, failures = data._bins[0].policy, []

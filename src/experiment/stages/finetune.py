@@ -129,6 +129,7 @@ def interactive_data(cfg: Any, robots: RobotGroup, records: Records) -> Interact
         batch_size=cfg.finetune.batch_size,
         updates=cfg.finetune.updates,
         temperature=cfg.finetune.temperature,
+        widening=cfg.finetune.widening,
         episode_attempts=cfg.finetune.episode_attempts,
         scenes=cfg.evaluate.scenes,
         records=records if robots.attended else None,
