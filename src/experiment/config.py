@@ -119,8 +119,6 @@ class PrimitiveConfig:
     """Metres around a failed pick that ``policy=suppress`` avoids."""
     avoided_until_success: bool = MISSING
     """Whether it forgets failed picks when a pick succeeds."""
-    widening: Factor = MISSING
-    """By which the temperature of draws rises where all recent attempts failed."""
     rotation_tolerance: NotNegative = MISSING
     """Radians by which a scene may be turned about a pick that stays as good."""
 
