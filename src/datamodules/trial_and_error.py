@@ -93,6 +93,7 @@ class TrialAndError(L.Callback):
                 "affordance/success": success,
                 "affordance/score": fmean(choice.score for choice in choices),
                 "affordance/entropy": fmean(choice.entropy for choice in choices),
+                "affordance/temperature": self._data.temperature,
                 **{f"replay/{name}": value for name, value in self._data.replay.statistics(self._drawn).items()},
             }
         )

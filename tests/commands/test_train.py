@@ -91,7 +91,14 @@ def test_the_dashboard_is_read_back(run: tuple[Path, str]) -> None:
     assert dashboard["config"]["task"]["name"] == "foreground"
     result = json.loads((folder / "result.json").read_text())
     found = json.dumps(dashboard)
-    for name in ("vision/loss", "affordance/success", "affordance/entropy", "replay/age", "evaluate/unseen"):
+    for name in (
+        "vision/loss",
+        "affordance/success",
+        "affordance/entropy",
+        "affordance/temperature",
+        "replay/age",
+        "evaluate/unseen",
+    ):
         assert name in found
     assert all(f"figures/{name.removesuffix('.png')}" in found for name in PICTURES)
     assert str(result["eval"]["unseen"]["rate"]) in found
