@@ -88,16 +88,22 @@ def rows(found: Found) -> list[Row]:
 
 def progress(comparison: Comparison) -> list[Row]:
     """Success by the protocol on the way: a row for every group, split and step at which all its seeds were tested."""
-    lines = []
-    for group in comparison.groups:
-        steps = [{point.step: point for point in run.result.evals} for run in group.runs]
-        for split in SPLITS:
-            for step in sorted(set.intersection(*map(set, steps))):
-                counts = [(at[step][split].successes, at[step][split].attempts) for at in steps]
-                if step == 0 and one_measurement(group, f"zero_shot_{split}"):
-                    counts = counts[:1]
-                lines.append({**_identity(comparison, group), "step": str(step), "split": split, **_summed(counts)})
-    return lines
+    return [
+        {**_identity(comparison, group), "step": str(step), "split": split, **_summed(counts)}
+        for group in comparison.groups
+        for (split, step), counts in tests(group).items()
+    ]
+
+
+def tests(group: Group) -> dict[tuple[Split, int], list[tuple[int, int]]]:
+    """Successes and attempts of each seed, or of one where all are one measurement, by split and attempts made before."""
+    steps = [{point.step: point for point in run.result.evals} for run in group.runs]
+    found = {}
+    for split in SPLITS:
+        for step in sorted(set.intersection(*map(set, steps))):
+            counts = [(at[step][split].successes, at[step][split].attempts) for at in steps]
+            found[split, step] = counts[:1] if step == 0 and one_measurement(group, f"zero_shot_{split}") else counts
+    return found
 
 
 def _identity(comparison: Comparison, group: Group) -> Row:

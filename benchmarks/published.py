@@ -1,0 +1,167 @@
+"""Writes the measured cells of the tables in README.md and docs/results.md, from the runs in docs/results.
+
+    python -m benchmarks.published
+
+Tables, rows and columns are chosen by hand: add the heading of a column, leave its cells empty, and run this. The heading of a
+section names its experiment, as in (`experiment=vision_tasks`). A table whose first cell begins with a primitive is one of
+groups; its first column names their sources. Other tables are left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from see2act.analysis.groups import ENOUGH, Comparison, Found, Group, find
+from see2act.analysis.intervals import mean_interval
+from see2act.analysis.reaching import TARGET, reaching
+from see2act.analysis.summary import published_for, tests
+from see2act.experiment.results import SPLITS
+from see2act.files import replacing
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results"
+PAGE = ROOT / "docs" / "results.md"
+README = ROOT / "README.md"
+FOLDERS = {"robustness objects=random_urdfs": "robustness/random_urdfs"}
+"""What a heading says after ``experiment=`` to the folder of results, where they differ."""
+OF_README = ("vision_tasks", "transfer_parts")
+"""What the README's tables, which show means alone, are of."""
+TRANSFERS = {"": "full", "backbone and head": "full", "backbone": "backbone", "never fine-tuned": "fixed"}
+"""Words after a source to the transfer they mean."""
+NETWORKS = {"NanoDet-g": "nanodet_g", "EfficientNet-Lite0": "timm_fpn"}
+"""Words in the first cell of a table to the network. It has to be named where an experiment has more than one."""
+Key = tuple[str, str, str, str]
+"""Primitive, task, transfer, and the network, or "" for the only one of the experiment."""
+Groups = Mapping[Key, tuple[Comparison, Group]]
+
+
+def page(text: str) -> tuple[str, dict[str, int]]:
+    """``docs/results.md`` with all cells measured, and how many they are by folder of results."""
+    sections = text.split("\n## ")
+    counts: dict[str, int] = {}
+    for place, section in enumerate(sections):
+        if "(`experiment=" in section.partition("\n")[0]:
+            experiment = section.split("(`experiment=")[1].split("`)")[0]
+            folder = FOLDERS.get(experiment, experiment)
+            sections[place], counts[folder] = _tables(section, _groups([folder]))
+    return "\n## ".join(sections), counts
+
+
+def readme(text: str) -> tuple[str, dict[str, int]]:
+    """The same of ``README.md``, whose tables show means alone."""
+    text, count = _tables(text, _groups(OF_README), means=True)
+    return text, {README.name: count}
+
+
+def _groups(folders: Iterable[str]) -> Groups:
+    """Groups of the runs in these folders of results; each is one row of a table.
+
+    Raises:
+        ValueError: A folder has two groups for one row.
+    """
+    groups: dict[Key, tuple[Comparison, Group]] = {}
+    for folder in folders:
+        known = [(comparison, group) for comparison in _found(folder).comparisons for group in comparison.groups]
+        several = len({comparison.protocol["model"] for comparison, _ in known}) > 1
+        mine = {_key(comparison, group, several): (comparison, group) for comparison, group in known}
+        if len(mine) < len(known):
+            raise ValueError(f"docs/results/{folder} has two versions of one condition; keep one of them")
+        groups |= mine
+    return groups
+
+
+@cache
+def _found(folder: str) -> Found:
+    return find(RESULTS / folder)
+
+
+def _tables(text: str, groups: Groups, *, means: bool = False) -> tuple[str, int]:
+    lines: list[str] = []
+    head: list[str] = []
+    count = 0
+    for line in text.split("\n"):
+        cells = [cell.strip() for cell in line.strip("|").split("|")] if line.startswith("|") else []
+        if not cells or not head:
+            head = cells
+        elif head[0].startswith(("suction", "grasp")) and not set(line) <= set("|- "):
+            source = _source(head[0], cells[0])
+            if source not in groups:
+                raise ValueError(f"no runs are kept of this row of the table {head[0]!r}: {cells[0]}")
+            shown = [_cell(*groups[source], column) for column in head[1:]]
+            cells = [cells[0], *(text.split(" ")[0] if means else text for text in shown)]
+            line = f"| {' | '.join(cells)} |"
+            count += len(shown)
+        lines.append(line)
+    return "\n".join(lines), count
+
+
+def _cell(comparison: Comparison, group: Group, column: str) -> str:
+    """Text below a heading of a column, empty where such a group has no such number.
+
+    Raises:
+        ValueError: The group was not tested then.
+    """
+    if column.startswith("paper"):
+        published = published_for(comparison, group)
+        return "" if published is None else f"{published:.2f}"
+    if column == f"attempts until {TARGET}":
+        return _attempts(group)
+    if column == "while learning":
+        return _rate([run.learning for run in group.runs]) if group.learned else ""
+    when, _, split = column.partition(", ")
+    step = 0 if when == "before any attempt" else int(when.removeprefix("after "))
+    which = next(name for name in SPLITS if name == (split or "unseen"))
+    if step and not group.learned:
+        return ""
+    if (which, step) not in tests(group):
+        raise ValueError(f"{comparison.name}, {group.name}: not all seeds were tested {column!r}")
+    return _rate(tests(group)[which, step])
+
+
+def _source(head: str, words: str) -> Key:
+    """Of the row that begins with these words, in the table with this first cell."""
+    primitive = "suction" if head.startswith("suction") else "grasp"
+    network = next((network for name, network in NETWORKS.items() if name in head), "")
+    if words == "scratch":
+        return primitive, "none", "none", network
+    source, _, transfer = words.partition(", ")
+    return primitive, source.strip("*"), TRANSFERS[transfer], network
+
+
+def _key(comparison: Comparison, group: Group, several: bool) -> Key:
+    network = comparison.protocol["model"] if several else ""
+    return comparison.primitive.removesuffix("_rg2"), group.task, group.transfer, network
+
+
+def _rate(counts: list[tuple[int, int]]) -> str:
+    """Mean over seeds of successes/attempts, its interval, and the sums."""
+    each = [successes / attempts for successes, attempts in counts]
+    interval = mean_interval(each) if len(each) >= ENOUGH else None
+    successes, attempts = (sum(column) for column in zip(*counts, strict=True))
+    limits = f"[{interval[0]:.2f}, {interval[1]:.2f}] " if interval else ""
+    return f"{np.mean(each):.2f} {limits}({successes}/{attempts})"
+
+
+def _attempts(group: Group) -> str:
+    found = reaching(group)
+    if not found:
+        return ""
+    limits = f" [{', '.join(map(found.text, found.interval))}]" if found.interval else ""
+    return f"{found.text(found.median)}{limits} ({found.reached} of {len(group.runs)})"
+
+
+def main() -> None:
+    """Fill the tables of both files."""
+    for path, fill in ((PAGE, page), (README, readme)):
+        text, counts = fill(path.read_text())
+        with replacing(path) as partial:
+            partial.write_text(text)
+        print(f"{path.relative_to(ROOT)}: {sum(counts.values())} cells")
+
+
+if __name__ == "__main__":
+    main()
