@@ -49,7 +49,7 @@ def test_kill_ends_a_run_promptly_while_it_is_evaluated_too(tmp_path: Path, cach
         wait(process, lambda: _evaluated(folder) > 0)
         evaluated = _evaluated(folder)
         process.send_signal(signal.SIGTERM)
-        # How many seconds depends on what else the machine does: what counts is that only the present attempt is finished.
+        # How many seconds depends on what else the machine does: what counts is that the other test runs are not made.
         assert process.wait(timeout=60) != 0
         assert _evaluated(folder) <= evaluated + 2 < 8 * (2 + 2)
         assert process.stderr is not None
