@@ -13,13 +13,9 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
-from see2act.analysis.groups import ENOUGH, Comparison, Found, Group, find
-from see2act.analysis.intervals import mean_interval
+from see2act.analysis.groups import Comparison, Found, Group, find
 from see2act.analysis.reaching import TARGET, reaching
-from see2act.analysis.summary import published_for, tests
-from see2act.experiment.results import SPLITS
+from see2act.analysis.summary import pooled, published_for, tests
 from see2act.files import replacing
 
 ROOT = Path(__file__).parents[1]
@@ -92,7 +88,7 @@ def _tables(text: str, groups: Groups, *, means: bool = False) -> tuple[str, int
             if source not in groups:
                 raise ValueError(f"no runs are kept of this row of the table {head[0]!r}: {cells[0]}")
             shown = [_cell(*groups[source], column) for column in head[1:]]
-            cells = [cells[0], *(text.split(" ")[0] if means else text for text in shown)]
+            cells = [cells[0], *(cell.split(" ")[0] if means else cell for cell in shown)]
             line = f"| {' | '.join(cells)} |"
             count += len(shown)
         lines.append(line)
@@ -114,12 +110,11 @@ def _cell(comparison: Comparison, group: Group, column: str) -> str:
         return _rate([run.learning for run in group.runs]) if group.learned else ""
     when, _, split = column.partition(", ")
     step = 0 if when == "before any attempt" else int(when.removeprefix("after "))
-    which = next(name for name in SPLITS if name == (split or "unseen"))
     if step and not group.learned:
         return ""
-    if (which, step) not in tests(group):
+    if (counts := tests(group).get((split or "unseen", step))) is None:
         raise ValueError(f"{comparison.name}, {group.name}: not all seeds were tested {column!r}")
-    return _rate(tests(group)[which, step])
+    return _rate(counts)
 
 
 def _source(head: str, words: str) -> Key:
@@ -139,11 +134,9 @@ def _key(comparison: Comparison, group: Group, several: bool) -> Key:
 
 def _rate(counts: list[tuple[int, int]]) -> str:
     """Mean over seeds of successes/attempts, its interval, and the sums."""
-    each = [successes / attempts for successes, attempts in counts]
-    interval = mean_interval(each) if len(each) >= ENOUGH else None
-    successes, attempts = (sum(column) for column in zip(*counts, strict=True))
+    mean, interval, successes, attempts = pooled(counts)
     limits = f"[{interval[0]:.2f}, {interval[1]:.2f}] " if interval else ""
-    return f"{np.mean(each):.2f} {limits}({successes}/{attempts})"
+    return f"{mean:.2f} {limits}({successes}/{attempts})"
 
 
 def _attempts(group: Group) -> str:

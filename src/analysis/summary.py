@@ -95,10 +95,10 @@ def progress(comparison: Comparison) -> list[Row]:
     ]
 
 
-def tests(group: Group) -> dict[tuple[Split, int], list[tuple[int, int]]]:
+def tests(group: Group) -> dict[tuple[str, int], list[tuple[int, int]]]:
     """Successes and attempts of each seed, or of one where all are one measurement, by split and attempts made before."""
     steps = [{point.step: point for point in run.result.evals} for run in group.runs]
-    found = {}
+    found: dict[tuple[str, int], list[tuple[int, int]]] = {}
     for split in SPLITS:
         for step in sorted(set.intersection(*map(set, steps))):
             counts = [(at[step][split].successes, at[step][split].attempts) for at in steps]
@@ -139,12 +139,17 @@ def _measured(group: Group, measure: str) -> Row:
     return _summed([_counts(run, measure) for run in runs]) if _rates(runs, measure) else {}
 
 
-def _summed(counts: list[tuple[int, int]]) -> Row:
-    """Successes and attempts of each seed as ``PARTS``."""
+def pooled(counts: list[tuple[int, int]]) -> tuple[float, tuple[float, float] | None, int, int]:
+    """Mean over seeds of their rates, its interval if they are enough, and the successes and attempts of all of them."""
     each = [successes / attempts for successes, attempts in counts]
     successes, attempts = (sum(column) for column in zip(*counts, strict=True))
-    interval = mean_interval(each) if len(each) >= ENOUGH else None
-    numbers = (float(np.mean(each)), *(interval or (None, None)), successes, attempts, *wilson(successes, attempts))
+    return float(np.mean(each)), mean_interval(each) if len(each) >= ENOUGH else None, successes, attempts
+
+
+def _summed(counts: list[tuple[int, int]]) -> Row:
+    """Successes and attempts of each seed as ``PARTS``."""
+    mean, interval, successes, attempts = pooled(counts)
+    numbers = (mean, *(interval or (None, None)), successes, attempts, *wilson(successes, attempts))
     return dict(zip(PARTS, map(number_text, numbers), strict=True))
 
 
