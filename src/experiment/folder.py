@@ -93,6 +93,15 @@ def alone_in(folder: Path) -> Iterator[None]:
         raise ConfigError(f"another process is at work in {folder}: wait for it to end") from None
 
 
+def at_work(folder: Path) -> bool:
+    """Whether a process is at work there."""
+    try:
+        with FileLock(folder / ".lock").acquire(timeout=0):
+            return False
+    except Timeout:
+        return True
+
+
 def set_aside(folder: Path) -> None:
     """Rename the folder of a finished run, or of half a run of another version, by the time it was last written."""
     result = folder / "result.json"

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from see2act.errors import DamagedFile, MissingWeights, UserError, storage_errors
 from see2act.experiment.checks import impossible_condition
-from see2act.experiment.folder import half_of_another_version, of_this_version
+from see2act.experiment.folder import at_work, half_of_another_version, of_this_version
 from see2act.experiment.single import run_checked
 from see2act.files import replacing
 
@@ -72,10 +72,14 @@ class Summary(Callback):
         if self._queue:
             log.info("a job was lost; the others go on (Ctrl-C does not end them, scancel does)")
             self._queue.wait_for_all()
-        self.on_multirun_end(self._config)
+        self._summarise(self._config, broken_off=True)
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        """Hydra calls this after the last job. Jobs run in processes of their own, so they leave notes."""
+        """Hydra calls this after the last job."""
+        self._summarise(config, broken_off=False)
+
+    def _summarise(self, config: DictConfig, *, broken_off: bool) -> None:
+        """Jobs run in processes of their own, so this looks for the notes that they leave."""
         folder = Path(config.hydra.sweep.dir)
         # By the clock alone it cannot be told what is new: it may jump, and that of a shared disk may be another one.
         new = sorted(path for path, when in _written(folder).items() if self._earlier.get(path) != when)
@@ -89,7 +93,10 @@ class Summary(Callback):
             if name == FAILED:
                 Summary.failures = len(lines)
         jobs = [path.parent.parent for path in new if path.match(COMPOSED)]
-        if lost := [job for job in jobs if (job / "run.json").exists() and not any((job / end).exists() for end in ENDS)]:
+        lost = [job for job in jobs if (job / "run.json").exists() and not any((job / end).exists() for end in ENDS)]
+        if not broken_off:  # another sweep may be at work in the same folder; of one broken off, killed jobs may seem to be
+            lost = [job for job in lost if not at_work(job)]
+        if lost:
             names = "\n  ".join(str(job.relative_to(folder)) for job in lost)
             log.error(
                 "%d jobs were begun and are not finished; they go on when the same sweep is started again:\n  %s",

@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from submitit.core.utils import UncompletedJobError
 
 from see2act.commands import train
+from see2act.experiment.folder import alone_in
 from see2act.experiment.sweep import Summary
 
 
@@ -34,6 +35,19 @@ def test_a_sweep_names_the_runs_that_were_begun_and_not_finished(summary: Summar
         summary.broken_off()
     assert "1 jobs were begun and are not finished" in caplog.text
     assert caplog.text.count("\n  lost\n") == 1
+    assert Summary.failures == 1
+
+
+def test_a_run_that_another_sweep_is_at_work_on_is_not_lost(
+    summary: Summary, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}})
+    with alone_in(tmp_path / "lost"):
+        summary.on_multirun_end(config)
+    assert "not finished" not in caplog.text
+    assert Summary.failures == 0
+    summary.on_multirun_end(config)
+    assert "\n  lost" in caplog.text
     assert Summary.failures == 1
 
 
