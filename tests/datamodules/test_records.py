@@ -16,11 +16,8 @@ from see2act.policy import Choice, Policy
 from see2act.robot.group import RobotGroup
 from see2act.robot.robot import Robot
 from see2act.robot.types import Heightmap, Observation, Outcome, Pick
-from see2act.robot.workspace import Workspace
 from see2act.seeding import generator
-
-WORKSPACE = Workspace("bin", 0.02, 0.02, 0.0025)
-SIDE = 8
+from tests.datamodules.cells import SIDE, WORKSPACE
 
 
 class Attended(Robot):
