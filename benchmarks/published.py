@@ -4,7 +4,8 @@
 
 Tables, rows and columns are chosen by hand: add the heading of a column, leave its cells empty, and run this. The heading of a
 section names its experiment, as in (`experiment=vision_tasks`). A table whose first cell begins with a primitive is one of
-groups; its first column names their sources. Other tables are left alone.
+groups; its first column names their sources. A row "*edge* minus scratch" shows differences of two groups.
+Other tables are left alone.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
+from see2act.analysis.contrasts import compared
 from see2act.analysis.groups import Comparison, Found, Group, find
 from see2act.analysis.reaching import TARGET, reaching
 from see2act.analysis.summary import pooled, published_for, tests
@@ -32,7 +34,8 @@ NETWORKS = {"NanoDet-g": "nanodet_g", "EfficientNet-Lite0": "timm_fpn"}
 """Words in the first cell of a table to the network. It has to be named where an experiment has more than one."""
 Key = tuple[str, str, str, str]
 """Primitive, task, transfer, and the network, or "" for the only one of the experiment."""
-Groups = Mapping[Key, tuple[Comparison, Group]]
+Row = tuple[Comparison, Group]
+Groups = Mapping[Key, Row]
 
 
 def page(text: str) -> tuple[str, dict[str, int]]:
@@ -59,7 +62,7 @@ def _groups(folders: Iterable[str]) -> Groups:
     Raises:
         ValueError: A folder has two groups for one row.
     """
-    groups: dict[Key, tuple[Comparison, Group]] = {}
+    groups: dict[Key, Row] = {}
     for folder in folders:
         known = [(comparison, group) for comparison in _found(folder).comparisons for group in comparison.groups]
         several = len({comparison.protocol["model"] for comparison, _ in known}) > 1
@@ -84,10 +87,9 @@ def _tables(text: str, groups: Groups, *, means: bool = False) -> tuple[str, int
         if not cells or not head:
             head = cells
         elif head[0].startswith(("suction", "grasp")) and not set(line) <= set("|- "):
-            source = _source(head[0], cells[0])
-            if source not in groups:
-                raise ValueError(f"no runs are kept of this row of the table {head[0]!r}: {cells[0]}")
-            shown = [_cell(*groups[source], column) for column in head[1:]]
+            words, _, others = cells[0].partition(" minus ")
+            row, other = _row(groups, head[0], words), _row(groups, head[0], others) if others else None
+            shown = [_difference(row, other, column) if other else _cell(*row, column) for column in head[1:]]
             cells = [cells[0], *(cell.split(" ")[0] if means else cell for cell in shown)]
             line = f"| {' | '.join(cells)} |"
             count += len(shown)
@@ -106,15 +108,46 @@ def _cell(comparison: Comparison, group: Group, column: str) -> str:
         return "" if published is None else f"{published:.2f}"
     if column == f"attempts until {TARGET}":
         return _attempts(group)
+    counts = _counts(comparison, group, column)
+    return _rate(counts) if counts else ""
+
+
+def _difference(row: Row, other: Row, column: str) -> str:
+    """Difference of the mean rates of two groups and its interval, with the verdict if there is one.
+
+    Raises:
+        ValueError: Either was not tested then, or not learned, or they have too few seeds.
+    """
+    a, b = ([successes / attempts for successes, attempts in _counts(*each, column)] for each in (row, other))
+    told, (*_, difference, low, high) = compared(a, b) if a and b else ("", (None,) * 3)
+    if difference is None:
+        raise ValueError(f"{row[1].name} and {other[1].name}: no difference can be shown of {column!r}")
+    words = f", {told}" if told in ("better", "worse") else ""
+    return f"{difference:+.2f} [{low:+.2f}, {high:+.2f}]{words}"
+
+
+def _counts(comparison: Comparison, group: Group, column: str) -> list[tuple[int, int]]:
+    """Successes and attempts of each seed; none of a group that has no such number, since it does not learn."""
     if column == "while learning":
-        return _rate([run.learning for run in group.runs]) if group.learned else ""
+        return [run.learning for run in group.runs] if group.learned else []
     when, _, split = column.partition(", ")
     step = 0 if when == "before any attempt" else int(when.removeprefix("after "))
     if step and not group.learned:
-        return ""
+        return []
     if (counts := tests(group).get((split or "unseen", step))) is None:
         raise ValueError(f"{comparison.name}, {group.name}: not all seeds were tested {column!r}")
-    return _rate(counts)
+    return counts
+
+
+def _row(groups: Groups, head: str, words: str) -> Row:
+    """What the words mean in a table with this first cell.
+
+    Raises:
+        ValueError: No runs of it are kept.
+    """
+    if (source := _source(head, words)) not in groups:
+        raise ValueError(f"no runs are kept of this row of the table {head!r}: {words}")
+    return groups[source]
 
 
 def _source(head: str, words: str) -> Key:

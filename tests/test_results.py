@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from benchmarks import published
+from see2act.analysis.contrasts import compared
+from see2act.analysis.summary import rates
 
 LEAST = {
     **{"vision_tasks": 80, "transfer_parts": 30, "off_the_shelf": 30},
@@ -54,3 +56,24 @@ def test_a_wrong_number_is_mended_and_a_row_without_runs_refused() -> None:
         published.page(f"# Results\n\n{head}\n{rule}\n{row.replace('scratch', '*shadow*')}\n")
     with pytest.raises(ValueError, match="not all seeds were tested 'after 61'"):
         published.page(f"# Results\n\n{head.replace('60, seen', '61')}\n{rule}\n{row}\n")
+
+
+def test_a_row_of_two_groups_shows_their_difference_and_its_verdict() -> None:
+    head, rule = "## Tasks (`experiment=vision_tasks`)\n\n| grasp | while learning | after 400 |", "|---|---|---|"
+    rows = "| *center* minus scratch | | |\n| *corner* minus scratch | | |"
+    filled, counts = published.page(f"# Results\n\n{head}\n{rule}\n{rows}\n")
+    assert counts == {"vision_tasks": 4}
+    cells = [line.strip("| ").split(" | ")[1:] for line in filled.split("\n")[6:8]]
+    comparison = next(
+        comparison
+        for comparison in published.find(published.RESULTS / "vision_tasks").comparisons
+        if comparison.primitive == "grasp"
+    )
+    groups = {group.task: group for group in comparison.groups}
+    for task, row in zip(("center", "corner"), cells, strict=True):
+        for measure, cell in zip(("learning", "after_unseen"), row, strict=True):
+            told, (*_, difference, low, high) = compared(rates(groups[task], measure), rates(groups["none"], measure))
+            words = f", {told}" if told in ("better", "worse") else ""
+            assert cell == f"{difference:+.2f} [{low:+.2f}, {high:+.2f}]{words}"
+    with pytest.raises(ValueError, match="no runs are kept of this row"):
+        published.page(f"# Results\n\n{head}\n{rule}\n| *center* minus shadow | | |\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,20 +44,28 @@ def contrasts(comparison: Comparison, measure: str) -> list[Contrast]:
         for other in comparison.groups[:i]
         if other.transfer == "none" or group.task == other.task
     ]
-    compared = []
+    found = []
     for group, other in pairs:
         a, b = (rates(each, measure) for each in (group, other))
-        if not (a and b):
-            continue
-        left, right = np.array(a), np.array(b)
-        low, high = improvement_interval(left, right)
-        limits = mean_difference_interval(a, b)
-        numbers: tuple[float | None, ...] = (None,) * 6
-        if limits and min(len(a), len(b)) >= ENOUGH:
-            numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
-        told = verdict(len(a), len(b), (low, high), limits or (-math.inf, math.inf))
-        compared.append(Contrast(group, other, measure, told, *map(number_text, numbers)))
-    return compared
+        if a and b:
+            told, numbers = compared(a, b)
+            found.append(Contrast(group, other, measure, told, *map(number_text, numbers)))
+    return found
+
+
+def compared(a: Sequence[float], b: Sequence[float]) -> tuple[str, tuple[float | None, ...]]:
+    """What the rates of the seeds of one group allow to say against those of another.
+
+    Returns:
+        The verdict, and the numbers of a :class:`Contrast` in its order, each None below ``ENOUGH`` seeds of either.
+    """
+    left, right = np.array(a), np.array(b)
+    low, high = improvement_interval(left, right)
+    limits = mean_difference_interval(a, b)
+    numbers: tuple[float | None, ...] = (None,) * 6
+    if limits and min(len(a), len(b)) >= ENOUGH:
+        numbers = (float(improvement(left, right)), low, high, float(left.mean() - right.mean()), *limits)
+    return verdict(len(a), len(b), (low, high), limits or (-math.inf, math.inf)), numbers
 
 
 WHEN = {LEARNING: "while learning", "after_unseen": "on unseen objects after fine-tuning"}
