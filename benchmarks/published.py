@@ -27,11 +27,13 @@ README = ROOT / "README.md"
 FOLDERS = {"robustness objects=random_urdfs": "robustness/random_urdfs"}
 """What a heading says after ``experiment=`` to the folder of results, where they differ."""
 OF_README = ("vision_tasks", "transfer_parts")
-"""What the README's tables, which show means alone, are of."""
+"""What the README's tables are of."""
 TRANSFERS = {"": "full", "backbone and head": "full", "backbone": "backbone", "never fine-tuned": "fixed"}
 """Words after a source to the transfer they mean."""
 NETWORKS = {"NanoDet-g": "nanodet_g", "EfficientNet-Lite0": "timm_fpn"}
 """Words in the first cell of a table to the network. It has to be named where an experiment has more than one."""
+ATTEMPTS = f"attempts until {TARGET}"
+"""The column of medians, which are nothing without their intervals."""
 Key = tuple[str, str, str, str]
 """Primitive, task, transfer, and the network, or "" for the only one of the experiment."""
 Row = tuple[Comparison, Group]
@@ -51,7 +53,7 @@ def page(text: str) -> tuple[str, dict[str, int]]:
 
 
 def readme(text: str) -> tuple[str, dict[str, int]]:
-    """The same of ``README.md``, whose tables show means alone."""
+    """The same of ``README.md``, whose tables show rates as means alone."""
     text, count = _tables(text, _groups(OF_README), means=True)
     return text, {README.name: count}
 
@@ -90,7 +92,11 @@ def _tables(text: str, groups: Groups, *, means: bool = False) -> tuple[str, int
             words, _, others = cells[0].partition(" minus ")
             row, other = _row(groups, head[0], words), _row(groups, head[0], others) if others else None
             shown = [_difference(row, other, column) if other else _cell(*row, column) for column in head[1:]]
-            cells = [cells[0], *(cell.split(" ")[0] if means else cell for cell in shown)]
+            if means:
+                shown = [
+                    cell if column == ATTEMPTS else cell.split(" ")[0] for column, cell in zip(head[1:], shown, strict=True)
+                ]
+            cells = [cells[0], *shown]
             line = f"| {' | '.join(cells)} |"
             count += len(shown)
         lines.append(line)
@@ -106,7 +112,7 @@ def _cell(comparison: Comparison, group: Group, column: str) -> str:
     if column.startswith("paper"):
         published = published_for(comparison, group)
         return "" if published is None else f"{published:.2f}"
-    if column == f"attempts until {TARGET}":
+    if column == ATTEMPTS:
         return _attempts(group)
     counts = _counts(comparison, group, column)
     return _rate(counts) if counts else ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from benchmarks import published
@@ -32,6 +34,12 @@ def test_the_readme_shows_the_same_means() -> None:
     filled, counts = published.readme(text)
     assert filled == text, "run python -m benchmarks.published"
     assert sum(counts.values()) > 20
+
+
+def test_the_readme_shows_medians_with_their_intervals() -> None:
+    table = "| grasp, from | attempts until 0.8 | after 400 |\n|---|---|---|\n| *edge* | | |\n"
+    row = published.readme(table)[0].split("\n")[2]
+    assert re.fullmatch(r"\| \*edge\* \| (> )?\d+( \[.+\])? \(\d+ of \d+\) \| \d\.\d\d \|", row)
 
 
 def test_a_wrong_number_is_mended_and_a_row_without_runs_refused() -> None:
