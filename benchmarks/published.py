@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from see2act.analysis.contrasts import compared
 from see2act.analysis.groups import Comparison, Found, Group, find
@@ -62,7 +63,7 @@ def _groups(folders: Iterable[str]) -> Groups:
     """Groups of the runs in these folders of results; each is one row of a table.
 
     Raises:
-        ValueError: A folder has two groups for one row.
+        ValueError: A folder has two groups for one row, or two folders have other runs for it.
     """
     groups: dict[Key, Row] = {}
     for folder in folders:
@@ -71,8 +72,14 @@ def _groups(folders: Iterable[str]) -> Groups:
         mine = {_key(comparison, group, several): (comparison, group) for comparison, group in known}
         if len(mine) < len(known):
             raise ValueError(f"docs/results/{folder} has two versions of one condition; keep one of them")
+        if other := [key for key in mine.keys() & groups.keys() if _outcomes(mine[key]) != _outcomes(groups[key])]:
+            raise ValueError(f"docs/results/{folder} has other runs of {other} than another folder; a table never mixes them")
         groups |= mine
     return groups
+
+
+def _outcomes(row: Row) -> list[dict[str, Any]]:
+    return [run.result.outcomes for run in row[1].runs]
 
 
 @cache
@@ -129,6 +136,7 @@ def _difference(row: Row, other: Row, column: str) -> str:
     if difference is None:
         raise ValueError(f"{row[1].name} and {other[1].name}: no difference can be shown of {column!r}")
     words = f", {told}" if told in ("better", "worse") else ""
+    difference, low, high = (round(number, 2) + 0.0 for number in (difference, low, high))  # never "-0.00"
     return f"{difference:+.2f} [{low:+.2f}, {high:+.2f}]{words}"
 
 
@@ -163,6 +171,8 @@ def _source(head: str, words: str) -> Key:
     if words == "scratch":
         return primitive, "none", "none", network
     source, _, transfer = words.partition(", ")
+    if transfer not in TRANSFERS:
+        raise ValueError(f"the row {words!r} of the table {head!r} ends with none of {', '.join(filter(None, TRANSFERS))}")
     return primitive, source.strip("*"), TRANSFERS[transfer], network
 
 

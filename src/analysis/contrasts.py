@@ -101,7 +101,7 @@ def verdict(n: int, m: int, improvement: tuple[float, float], difference: tuple[
     """
     chance = 2 / math.comb(n + m, n)  # of the seeds of two equal groups to fall entirely apart, either way
     if min(n, m) < ENOUGH or chance > 0.05:
-        odds = "always" if chance >= 1 else f"one time in {1 / chance:.2g}"
+        odds = "always" if chance >= 1 else f"one time in {1 / chance:.0f}"
         return f"too few seeds to conclude ({n} and {m}): equal groups would separate completely {odds}"
     if improvement[0] > 0.5 and difference[0] > 0:
         return "better"

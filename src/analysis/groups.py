@@ -146,13 +146,18 @@ def _once_each(runs: list[Run], notices: list[str]) -> list[list[Run]]:
         for seed, same in seeds.items():
             same.sort(key=lambda run: (run.folder.name != f"seed{seed}", run.place))
             for other in same[1:]:
-                equal = all(other.result.phase(phase) == same[0].result.phase(phase) for phase in PHASES)
+                equal = _numbers(other) == _numbers(same[0])
                 notices.append(
                     f"The same run is there twice, with {'the same' if equal else 'OTHER'} numbers: "
                     f"{same[0].place} counts, {other.place} does not."
                 )
         kept.append([seeds[seed][0] for seed in sorted(seeds)])
     return kept
+
+
+def _numbers(run: Run) -> list[Any]:
+    """Everything that was counted: whatever a table or figure of a run is made from."""
+    return [*map(run.result.phase, PHASES), run.result.evals, run.result.curve]
 
 
 def _comparisons(groups: list[list[Run]], notices: list[str]) -> list[Comparison]:
@@ -241,15 +246,16 @@ def _warnings(comparison: Comparison) -> Iterator[str]:
         yield f"groups differ in more than their source and transfer: {', '.join(across)}, as the table says under their names."
     if comparison.protocol.get("evaluate.scenes") == "develop":
         yield "evaluated on the scenes that settings are chosen by (evaluate.scenes=develop), so this is no result to report."
+    configured = comparison.protocol[CONFIGURATION] != UNKNOWN
     most = tuple(comparison.protocol.get(f"evaluate.attempts.{split}", UNKNOWN) for split in SPLITS)
-    if most != ("25", "15"):
+    if configured and most != ("25", "15"):
         yield f"test runs of at most {most[0]} attempts with seen and {most[1]} with unseen objects; the paper has 25 and 15."
     seeds = {tuple(group.seeds) for group in comparison.groups}
     if len(seeds) > 1:
         each = "; ".join(f"{group.name}: {' '.join(map(str, group.seeds))}" for group in comparison.groups)
         yield f"groups have different seeds, as in a sweep that is not finished ({each})."
     shared = [group.name for group in comparison.groups if group.task != "none" and len(group.pretrain_seeds) < len(group.runs)]
-    if shared:
+    if configured and shared:
         yield f"seeds share vision models, so intervals leave out how vision models differ: {'; '.join(shared)}."
     few = [group.name for group in comparison.groups if len(group.runs) < ENOUGH]
     if len(few) == len(comparison.groups):

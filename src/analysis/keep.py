@@ -34,22 +34,23 @@ def keep(found: Found, folder: Path) -> None:
     pictured = {page.shown(group).folder for comparison in found.comparisons for group in comparison.groups}
     for run in tqdm(found.runs, desc="keep", disable=None):
         place = folder / run.place
+        whole = (place / "result.json").exists()  # if not, files here are of a keep that was cut short, perhaps of an older run
         if run.folder in pictured:
             for name, image in page.thumbnails(run).items():
-                _write(place / "figures" / f"{name}.jpg", image)
+                _write(place / "figures" / f"{name}.jpg", image, replace=not whole)
         if run.attempts and (path := attempts_of(run.folder)):
-            _write(place / "attempts.csv.gz", _packed(path))
+            _write(place / "attempts.csv.gz", _packed(path), replace=not whole)
         for name in reversed(SMALL):  # the result last: it means done
             if (run.folder / name).is_file():
-                _write(place / name, (run.folder / name).read_bytes())
+                _write(place / name, (run.folder / name).read_bytes(), replace=not whole)
 
 
 def _packed(path: Path) -> bytes:
     return path.read_bytes() if path.suffix == ".gz" else gzip.compress(path.read_bytes(), mtime=0)
 
 
-def _write(path: Path, data: bytes) -> None:
-    if path.exists():
+def _write(path: Path, data: bytes, *, replace: bool) -> None:
+    if path.exists() and not replace:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as partial:

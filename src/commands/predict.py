@@ -47,8 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             apart=args.apart,
             per_object=args.per_object,
         )
-    _write(args, found, picture(inputs["color"], found), model.config_hash)
-    _tell(args, found, undistorted)
+        _write(args, found, picture(inputs["color"], found), model.config_hash)
+        _tell(args, found, undistorted)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -78,6 +78,15 @@ def of_this_version(result: Path) -> bool:
     return bool(_record(result).get("versions") == versions())
 
 
+def finishes(result: Path, cfg: DictConfig) -> bool:
+    """Whether a ``result.json`` is of the very run that ``cfg`` describes, made by this version.
+
+    Raises:
+        DamagedFile: It is none.
+    """
+    return _of_result(_record(result)) == _identity(cfg) | {"versions": versions()}
+
+
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
     """Keep other processes out.
@@ -126,7 +135,10 @@ def _begun(folder: Path) -> dict[str, Any]:
     note, result = folder / "run.json", folder / "result.json"
     if note.exists() or not result.exists():
         return _record(note) if note.exists() else {}
-    finished = _record(result)
+    return _of_result(_record(result))
+
+
+def _of_result(finished: dict[str, Any]) -> dict[str, Any]:
     return {
         "config_hash": finished.get("config_hash"),
         "seed": finished.get("choices", {}).get("seed"),

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from see2act.errors import DamagedFile, MissingWeights, UserError, storage_errors
 from see2act.experiment.checks import impossible_condition
-from see2act.experiment.folder import at_work, half_of_another_version, of_this_version
+from see2act.experiment.folder import at_work, finishes, half_of_another_version, of_this_version
 from see2act.experiment.single import run_checked
 from see2act.files import replacing
 
@@ -135,7 +135,7 @@ def run_job(cfg: DictConfig, folder: Path, sweep: Path) -> float | None:
         _note(folder, LEFT_OUT, condition)
         return None
     try:
-        if not cfg.force and (duplicate := finished_elsewhere(folder, sweep)):
+        if not cfg.force and (duplicate := finished_elsewhere(folder, sweep, cfg)):
             link(duplicate, folder)
         result = folder / "result.json"
         if not cfg.force and (not of_this_version(result) if result.exists() else half_of_another_version(folder, cfg)):
@@ -164,8 +164,13 @@ def _give_back_memory() -> None:
 
 
 def _note(folder: Path, name: str, text: str) -> None:
-    """Leave a note of one line in a job's folder."""
-    (folder / name).write_text(" ".join(text.split()))
+    """Leave a note of one line in a job's folder. If it cannot be written, as on a full disk, the log has it."""
+    line = " ".join(text.split())
+    try:
+        with replacing(folder / name) as partial:
+            partial.write_text(line)
+    except OSError as error:
+        log.error("%s could not be written (%s): %s", folder / name, error, line)
 
 
 def _clear_notes(folder: Path) -> None:
@@ -174,20 +179,20 @@ def _clear_notes(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def finished_elsewhere(folder: Path, sweep: Path) -> Path | None:
-    """The same run, finished by this version of the code in another experiment's sweep.
+def finished_elsewhere(folder: Path, sweep: Path, cfg: DictConfig) -> Path | None:
+    """The same run, finished by this version of the code at the same place in another experiment's sweep.
 
     None where there is none, or where this folder has begun its own.
     """
     if any((folder / name).exists() for name in ("run.json", "result.json")):
         return None
     others = sorted(sweep.parent.glob(f"*/{folder.absolute().relative_to(sweep)}/result.json"))
-    return next((result.parent for result in others if _usable(result)), None)
+    return next((result.parent for result in others if _usable(result, cfg)), None)
 
 
-def _usable(result: Path) -> bool:
+def _usable(result: Path, cfg: DictConfig) -> bool:
     try:
-        return of_this_version(result)
+        return finishes(result, cfg)
     except DamagedFile:  # whoever goes on with that sweep is told
         return False
 

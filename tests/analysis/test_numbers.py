@@ -28,7 +28,13 @@ MakeRun = Callable[..., Path]
 @pytest.mark.parametrize(
     ("n", "m", "improvement", "difference", "words"),
     [
-        (2, 20, (1.0, 1.0), (0.1, 0.3), "too few seeds to conclude (2 and 20)"),
+        (
+            2,
+            20,
+            (1.0, 1.0),
+            (0.1, 0.3),
+            "too few seeds to conclude (2 and 20): equal groups would separate completely one time in 116",
+        ),
         (3, 3, (1.0, 1.0), (0.1, 0.3), "equal groups would separate completely one time in 10"),
         (1, 1, (1.0, 1.0), (0.1, 0.3), "equal groups would separate completely always"),
         (4, 4, (0.6, 1.0), (0.1, 0.3), "better"),
@@ -63,6 +69,15 @@ def test_seeds_that_repeat_each_other_are_one_measurement(make_run: MakeRun, tmp
     assert "too few seeds to conclude (1 and 5)" in against["normal, fixed", "normal, full"].verdict
     (point,) = (p for p in progress(comparison) if (p["transfer"], p["step"], p["split"]) == ("full", "0", "unseen"))
     assert point["attempts"] == "20"
+
+
+def test_one_model_that_is_off_by_an_attempt_on_another_processor_is_still_one_measurement(
+    make_run: MakeRun, tmp_path: Path
+) -> None:
+    for seed in range(5):
+        make_run("normal-full", seed=seed, zero=[(3, 10), (4, 11 if seed == 2 else 10)])
+    (row,) = [r for r in rows(find(tmp_path)) if (r["primitive"], r["task"]) == ("suction", "normal") and r["seeds"]]
+    assert (row["zero_shot_unseen_attempts"], row["zero_shot_unseen_low"]) == ("20", "")
 
 
 def test_seeds_with_a_vision_model_each_do_not_repeat_each_other(make_run: MakeRun, tmp_path: Path) -> None:

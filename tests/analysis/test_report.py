@@ -244,6 +244,13 @@ def test_a_run_that_is_there_twice_counts_once(make_run: MakeRun, runs: Path) ->
 
 
 @pytest.mark.usefixtures("no_figures")
+def test_runs_that_learned_otherwise_and_end_alike_do_not_have_the_same_numbers(make_run: MakeRun, runs: Path) -> None:
+    make_run(learned=[True] * 40)
+    make_run(learned=[False] * 40, name="seed0.20200101-000000")
+    assert any("twice, with OTHER numbers" in notice for notice in report(runs).notices)
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_a_run_that_two_sweeps_share_counts_once_and_without_ado(make_run: MakeRun, runs: Path) -> None:
     folder = make_run(pictures=True)
     other = runs / "another" / "seed0"
@@ -498,11 +505,15 @@ def test_what_is_kept_gives_the_same_tables_and_page(sweep: Path, make_run: Make
     drawn = {path.name for path in (sweep / "figures").iterdir()}
     assert {path.name for path in (kept / "figures").iterdir()} == drawn
 
-    (kept / "suction/fcn7/normal-full/bbbbbbbbbbbb/seed1/result.json").unlink()
+    cut_short = kept / "suction/fcn7/normal-full/bbbbbbbbbbbb/seed1"
+    (cut_short / "result.json").unlink()
+    attempts = (cut_short / "attempts.csv.gz").read_bytes()
+    (cut_short / "attempts.csv.gz").write_bytes(b"of a run before")
     assert [u.seed for u in report(kept).unfinished] == ["1"]
     later = make_run(seed=77)
     main([str(sweep), "--keep", str(kept)])  # what is there stays, what is new comes
     assert (kept / later.relative_to(sweep) / "result.json").is_file()
+    assert (cut_short / "attempts.csv.gz").read_bytes() == attempts
     result = json.loads((later / "result.json").read_text())
     (later / "result.json").write_text(json.dumps(result | {"seconds": {"finetune": 1}}))  # the same outcomes, sooner
     main([str(sweep), "--keep", str(kept)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import errno
 import itertools
 import json
 import logging
@@ -276,7 +277,7 @@ def test_a_sweep_that_makes_sense_is_let_through() -> None:
     check_sweep(["task=glob(*)", "transfer=glob(*)", "primitive=suction,grasp", "finetune.attempts=0,5"])
 
 
-def test_damage_in_a_job_s_folder_is_named_and_ends_that_jobalone_in(config: Callable, tmp_path: Path) -> None:
+def test_damage_in_a_job_s_folder_is_named_and_ends_that_job_alone(config: Callable, tmp_path: Path) -> None:
     cfg, folder = config("seed=3"), tmp_path / "sweep" / "seed3"
     folder.mkdir(parents=True)
     duplicate = tmp_path / "other" / "seed3"
@@ -290,17 +291,20 @@ def test_damage_in_a_job_s_folder_is_named_and_ends_that_jobalone_in(config: Cal
     (folder / "run.json").write_text("{")
     with pytest.raises(DamagedFile, match=r"run\.json is damaged"):
         refuse_foreign(folder, cfg)
-    assert finished_elsewhere(tmp_path / "sweep" / "seed3" / "new", tmp_path / "sweep") is None
+    assert finished_elsewhere(tmp_path / "sweep" / "seed3" / "new", tmp_path / "sweep", cfg) is None
 
 
 @pytest.mark.parametrize("shared", range(5))
-def test_a_link_that_was_cut_short_is_made_anew(shared: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_link_that_was_cut_short_is_made_anew(
+    shared: int, config: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cfg = config("seed=3")
     duplicate, folder = tmp_path / "other" / "seed3", tmp_path / "sweep" / "seed3"
     (duplicate / "checkpoints").mkdir(parents=True)
     files = ("run.json", "attempts.csv", "checkpoints/last.ckpt", "checkpoints/model.safetensors")
     for name in files:
         (duplicate / name).write_text(name)
-    (duplicate / "result.json").write_text(json.dumps({"versions": versions()}))
+    _finish(duplicate, cfg)
     folder.mkdir(parents=True)
     left = iter(range(shared))
 
@@ -314,10 +318,42 @@ def test_a_link_that_was_cut_short_is_made_anew(shared: int, tmp_path: Path, mon
         with pytest.raises(KeyboardInterrupt):
             link(duplicate, folder)
     if not (folder / "result.json").exists():  # else it counts as finished
-        assert finished_elsewhere(folder, tmp_path / "sweep") == duplicate
+        assert finished_elsewhere(folder, tmp_path / "sweep", cfg) == duplicate
     link(duplicate, folder)
     assert [(folder / name).read_text() for name in files] == list(files)
     assert (folder / "result.json").samefile(duplicate / "result.json")
+
+
+def test_another_run_at_the_same_place_of_another_sweep_is_not_taken_for_this_one(config: Callable, tmp_path: Path) -> None:
+    """As with hydra.sweep.subdir=${hydra.job.num}, where a place says nothing of the run."""
+    duplicate, folder = tmp_path / "other" / "0", tmp_path / "sweep" / "0"
+    duplicate.mkdir(parents=True)
+    cfg = config("seed=3")
+    for other in (config("seed=4"), config("seed=3", "finetune.temperature=3")):
+        _finish(duplicate, other)
+        assert finished_elsewhere(folder, tmp_path / "sweep", cfg) is None
+    _finish(duplicate, cfg)
+    assert finished_elsewhere(folder, tmp_path / "sweep", cfg) == duplicate
+
+
+def _finish(folder: Path, cfg: DictConfig) -> None:
+    record = {"versions": versions(), "config_hash": config_hash(cfg), "choices": {"seed": cfg.seed}}
+    (folder / "result.json").write_text(json.dumps(record))
+
+
+def test_a_note_that_finds_no_room_is_logged_and_ends_no_sweep(
+    config: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    folder = tmp_path / "sweep" / "seed3"
+    folder.mkdir(parents=True)
+    monkeypatch.setattr("see2act.experiment.sweep.run_checked", full)
+    monkeypatch.setattr(Path, "write_text", full)
+    assert run_job(config("seed=3"), folder, tmp_path / "sweep") is None
+    assert "failed.txt could not be written" in caplog.text
+    assert not (folder / FAILED).exists()
 
 
 def _claimed_yesterday(folder: Path, cfg: DictConfig) -> None:

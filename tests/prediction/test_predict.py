@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -450,6 +451,17 @@ def test_bad_files_are_refused_in_one_line(files: dict[str, str], option: str, v
         main(_command({**files, option: given}))
     assert str(told.value).count("\n") == 0
     assert not Path(files["--out"]).exists()
+
+
+def test_picks_that_cannot_be_written_are_told_in_one_line(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(SystemExit, match=r"No space left on device.*free some space"):
+        main([*_command(files), "--count", "3"])
 
 
 def test_a_photograph_that_was_held_upside_down_is_not_turned(files: dict[str, str]) -> None:
