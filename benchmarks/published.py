@@ -136,8 +136,8 @@ def _difference(row: Row, other: Row, column: str) -> str:
     if difference is None:
         raise ValueError(f"{row[1].name} and {other[1].name}: no difference can be shown of {column!r}")
     words = f", {told}" if told in ("better", "worse") else ""
-    difference, low, high = (round(number, 2) + 0.0 for number in (difference, low, high))  # never "-0.00"
-    return f"{difference:+.2f} [{low:+.2f}, {high:+.2f}]{words}"
+    shown = [f"{number:+.2f}".replace("-0.00", "+0.00") for number in (difference, low, high)]
+    return f"{shown[0]} [{shown[1]}, {shown[2]}]{words}"
 
 
 def _counts(comparison: Comparison, group: Group, column: str) -> list[tuple[int, int]]:
