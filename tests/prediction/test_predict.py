@@ -453,9 +453,7 @@ def test_bad_files_are_refused_in_one_line(files: dict[str, str], option: str, v
     assert not Path(files["--out"]).exists()
 
 
-def test_picks_that_cannot_be_written_are_told_in_one_line(
-    files: dict[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_picks_that_cannot_be_written_are_told_in_one_line(files: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
